@@ -116,6 +116,14 @@ def test_values_of_every_kind_are_printed(index):
     assert list(row.values()) == list(values.values())
 
 
+def test_decimals_have_all_their_digits(index):
+    long = "1234567890123456789.0123456789"
+    query = f"select x, [x] as y, {{'a': x}} as z, 0.5::decimal(9, 2) as half from (select {long}::decimal(38, 10) as x)"
+    row = f'{{"x": {long}, "y": [{long}], "z": {{"a": {long}}}, "half": 0.5}}'
+    assert answer("sql", index, query, "--json") == f'{{"rows": [\n{row}\n]}}\n'
+    assert answer("sql", index, query) == f'x,y,z,half\n{long},[{long}],"{{""a"": {long}}}",0.5\n'
+
+
 def test_columns_of_one_name_are_numbered(index):
     assert answer("sql", index, "select 1 as a, 2 as a, 3 as a") == "a,a_1,a_2\n1,2,3\n"
 

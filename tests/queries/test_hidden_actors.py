@@ -77,5 +77,15 @@ def test_a_car_counts_for_rules_if_it_is_ever_on_the_road(tmp_path, suffix, show
     assert found.status == "pass", found.message
 
 
+def test_a_car_below_the_road_does_not_count_though_another_one_with_its_id_is_on_the_road(tmp_path):
+    frames = [{"transforms": [pose(HERO, 100 * number), pose(HIDDEN, 9000, 600, -49900)]} for number in range(9)]
+    frames[0]["spawned"] = [spawn(HERO, role_name="hero"), spawn(HIDDEN, x=9000)]
+    frames[8] = {"destroyed": [(HIDDEN,)], "spawned": [spawn(HIDDEN)], "transforms": [pose(HERO, 900), pose(HIDDEN, 9000)]}
+    rules = parse_rules('[rules.it]\nactors = { of = "vehicle", max = 2 }', "rules.toml")
+    with open_recording(write(tmp_path / "hidden.mcap", frames)) as opened:
+        (found,) = check(opened, rules)
+    assert found.message == "2 actors (vehicles)"
+
+
 def test_carlas_own_query_still_has_it(recording):
     assert HIDDEN in [row.id for row in recording.blocked(min_time=5.0)]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from carla_recap.model.contacts import Contact, Contacts
+    from carla_recap.model.lives import ActorLife, ActorLives
     from carla_recap.queries.measures.motion_table import MotionTable
 
 STEP = 0.05
@@ -38,8 +39,8 @@ class Miss(NamedTuple):
 class Twin:
     """The motion of a recording, and what is asked of it."""
 
-    def __init__(self, table: MotionTable, contacts: Contacts) -> None:
-        self.table, self.contacts = table, contacts
+    def __init__(self, table: MotionTable, lives: ActorLives, contacts: Contacts) -> None:
+        self.table, self.lives, self.contacts = table, list(lives), contacts
         self.time: list[float] = table.time.tolist()
         columns = (table.x, table.y, table.z, table.yaw, table.vx, table.vy, table.speed)
         self.poses = [
@@ -60,8 +61,16 @@ class Twin:
         return abs(b.z - a.z) <= (self.sizes[one][2] + self.sizes[other][2]) / 2 + step
 
     def contacts_of(self, one: int, other: int) -> list[Contact]:
-        ids = {self.table.actors[one].id, self.table.actors[other].id}
-        return [each for each in self.contacts if set(each.ids) == ids]
+        pair = [self.table.actors[row] for row in (one, other)]
+        return [each for each in self.contacts if all(any(side is actor for side in self.sides(each)) for actor in pair)]
+
+    def sides(self, contact: Contact) -> list[ActorLife | None]:
+        """Return who had the ids of a contact when it began: the first one, if none had one yet."""
+        found: list[ActorLife | None] = []
+        for id in contact.ids:
+            lives = [life for life in self.lives if life.id == id]
+            found.append(([*lives[:1], *(life for life in lives if life.spawned_at <= contact.start + 1e-6)] or [None])[-1])
+        return found
 
     def touching(self, row: int, contact: Contact) -> list[int]:
         """Return the frames of a contact in which an actor is present; in none, the next one that it is, within 1 s."""
@@ -71,15 +80,12 @@ class Twin:
         return during or later[:1]
 
     def thrown(self, row: int, time: float) -> bool:
-        id, spawned_at = self.table.actors[row].key
+        actor = self.table.actors[row]
         for each in self.contacts:
-            if spawned_at > each.stop + 1e-6:
-                continue
-            others = [other for other in each.ids if other != id]
-            if id in each.ids and others and each.start - 1e-6 <= time <= each.stop + 5:
-                kinds = {a.kind for a in self.table.actors if a.id == others[0] and a.spawned_at <= each.stop + 1e-6}
-                if "vehicle" in kinds:
-                    return True
+            one, other = self.sides(each)
+            hit_by = other if actor is one else one if actor is other else None
+            if hit_by and hit_by.kind == "vehicle" and each.start - 1e-6 <= time <= each.stop + 5:
+                return True
         return False
 
     def gap(self, one: int, other: int, a: Pose, b: Pose) -> float:
@@ -337,14 +343,10 @@ class Twin:
                     critical[one, other] = [miss for miss in approaches if miss.required_deceleration >= deceleration]
         for second, first, miss in self.crossings(soonest, 3.0, only_vehicles=True):
             critical[min(first, second), max(first, second)].append(miss)
-        by_ids: dict[tuple[int, ...], list[Miss]] = {}
-        for misses in critical.values():
-            for miss in misses:
-                by_ids.setdefault(tuple(sorted(miss[:2])), []).append(miss)
         found = []
-        for ids, misses in by_ids.items():
+        for pair, misses in critical.items():
             for miss in _joined(sorted(misses, key=lambda miss: miss.start)):
-                contacts = [each for each in self.contacts if set(each.ids) == set(ids)]
+                contacts = self.contacts_of(*pair)
                 if not any(miss.start <= each.stop + 5 and each.start <= miss.stop + 3 for each in contacts):
                     found.append(miss)
         return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))

@@ -190,7 +190,7 @@ def _json(names: list[str], rows: Iterable[tuple[Any, ...]]) -> Iterator[str]:
     yield '{"rows": ['
     separator = "\n"
     for row in rows:
-        yield separator + _ENCODER.encode(dict(zip(names, map(_plain, row), strict=True)))
+        yield separator + _encoded(dict(zip(names, map(_plain, row), strict=True)))
         separator = ",\n"
     yield "\n]}\n"
 
@@ -254,15 +254,27 @@ def _text(value: Any) -> str:
     value = _plain(value)
     if value is None:
         return ""
-    return value if isinstance(value, str) else _ENCODER.encode(value)
+    return value if isinstance(value, str) else _encoded(value)
+
+
+def _encoded(value: Any) -> str:
+    """Return plain values as JSON, decimals with all their digits."""
+    try:
+        return _ENCODER.encode(value)
+    except TypeError:  # of a decimal
+        if isinstance(value, dict):
+            return f"{{{', '.join(f'{_ENCODER.encode(key)}: {_encoded(item)}' for key, item in value.items())}}}"
+        return f"[{', '.join(map(_encoded, value))}]" if isinstance(value, list) else format(value, "f")
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: times as text, numbers that are not finite as null."""
+    """Return a value as JSON has it: times as text, numbers that are not finite as null; decimals that are no doubles remain."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Decimal):
-        return int(value) if value == value.to_integral_value() else float(value)
+        if value == value.to_integral_value():
+            return int(value)
+        return near if Decimal(repr(near := float(value))) == value else value
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if type(value) in (list, tuple):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Packet
+    from carla_recap.model.lives import ActorLife
 
     Vector = tuple[float, float, float]
 
@@ -90,11 +91,17 @@ class Contact:
     stop: float  # the time of its last record, in elapsed seconds
     # Where the actors are at the start, and how fast they were just before; None if it was not looked up.
     impact: Impact | None = None
+    # The lives of the ids at the start, None of one that is unknown; set once all lives are known.
+    actors: tuple[ActorLife | None, ...] = ()
 
     @property
     def key(self) -> Key:
         """The index of its first frame, and the actors."""
         return self.frame_index, *self.ids
+
+    def is_of(self, *lives: ActorLife) -> bool:
+        """Return whether actors take part, not others that have their ids before or after."""
+        return all(any(actor is life for actor in self.actors) for life in lives)
 
     def is_caused_by(self, id: int) -> bool:
         """Return whether an actor is at fault, as CARLA's criteria decide: it moved by 0.1 m/s or more just before.
@@ -126,8 +133,15 @@ class Contacts:
 
     def add(self, frame: Frame) -> None:
         """Add the collision records of a frame."""
+        for spawn in frame["spawned"]:
+            self.spawn(spawn.id)
         for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
             self.touch(frame, (id1, id2), (bool(hero1), bool(hero2)))
+
+    def spawn(self, id: int) -> None:
+        """Note a new actor, which has no part in the contacts of one that had its id before."""
+        for contact in self._of_actor.get(id, ()):
+            self._latest.pop(frozenset(contact.ids), None)
 
     def touch(self, frame: Frame, ids: tuple[int, int], heroes: tuple[bool, bool]) -> Contact:
         """Add a collision record of a frame, and return the contact that it belongs to."""
@@ -144,17 +158,18 @@ class Contacts:
             self._of_actor.setdefault(id, []).append(contact)
         return contact
 
-    def of(self, id1: int, id2: int) -> list[Contact]:
+    def of(self, one: ActorLife, other: ActorLife) -> list[Contact]:
         """Return the contacts of two actors."""
-        return self._of_pair.get(frozenset((id1, id2)), [])
+        return [each for each in self._of_pair.get(frozenset((one.id, other.id)), ()) if each.is_of(one, other)]
 
-    def affected(self, id: int, before: float) -> list[tuple[float, float]]:
+    def affected(self, life: ActorLife, before: float) -> list[tuple[float, float]]:
         """Return the times in which contacts, from some seconds before each on, affect the motion of an actor, in order.
 
         Contacts that are less than a second apart affect the time between them, too.
         """
         spans: list[tuple[float, float]] = []
-        for contact in sorted(self._of_actor.get(id, ()), key=lambda contact: contact.start):
+        contacts = (contact for contact in self._of_actor.get(life.id, ()) if contact.is_of(life))
+        for contact in sorted(contacts, key=lambda contact: contact.start):
             start, stop = contact.start, contact.stop
             if spans and start - spans[-1][1] < SAME_CONTACT:
                 start, earlier = spans.pop()

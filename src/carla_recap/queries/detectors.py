@@ -312,11 +312,12 @@ class HardBrakingIncidents(Detector):
     def _apart_from_contacts(self, rows: Iterable[Braking]) -> Iterator[tuple[Braking, float]]:
         """Yield the braking of vehicles that no contact causes, and when it ends: at the latest when one begins."""
         for row in rows:
-            spans = self._search.contacts.affected(row.id, HALF_WINDOW)
+            life = self._search.actors.at(row.id, row.start)
+            spans = self._search.contacts.affected(life, HALF_WINDOW) if life else []
             later = bisect_right(spans, (row.start, math.inf))
             stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
             in_contact = later > 0 and row.start <= spans[later - 1][1]
-            if not in_contact and stop - row.start >= SHORTEST and self._search.actors.kind(row.id, row.start) == "vehicle":
+            if not in_contact and stop - row.start >= SHORTEST and life and life.kind == "vehicle":
                 yield row, stop
 
     def _looked_up(self, found: Iterable[tuple[Braking, float]]) -> BrakingDetector:
@@ -355,9 +356,9 @@ class NearMissIncidents(Detector):
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
-        actors, options = self._search.actors, self._search.options
+        options = self._search.options
         for row in self._detector.finish():
-            first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
+            first, second = row.one.name, row.other.name
             at = f"at {row.time:.2f} s" + ("" if math.isnan(row.speed) else f", at {row.speed * _KMH:.0f} km/h")
             if row.time_to_collision == 0:
                 text = f"{first} touches {second} {at}, though no collision is recorded"
@@ -365,12 +366,12 @@ class NearMissIncidents(Detector):
                 text = f"{first} comes within {row.time_to_collision:.1f} s of {second} {at}"
             else:
                 text = f"{first} crosses the path of {second} {row.post_encroachment_time:.1f} s after it {at}"
-            ids, other = (row.id1, row.id2), actors.at(row.id2, row.start)
-            if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
-                ids = ids[::-1]
+            pair = (row.other, row.one) if row.other.is_hero or row.one.kind == "walker" else (row.one, row.other)
+            ids = pair[0].id, pair[1].id
             measure = "time_to_collision" if row.time_to_collision < math.inf else "post_encroachment_time"
             span, extreme, threshold = (row.start, row.stop), (getattr(row, measure), row.time), getattr(options, measure)
-            yield self._search.incident("near miss", ids, span, row.place, MEASURES[measure], extreme, threshold, text)
+            found = self._search.incident("near miss", ids, span, row.place, MEASURES[measure], extreme, threshold, text)
+            yield replace(found, type_ids=(pair[0].type_id, pair[1].type_id))
 
 
 class RoadIncidents(Detector):

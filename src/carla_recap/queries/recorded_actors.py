@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from carla_recap.model.contacts import Contacts
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS, TYPES, ActorLife, ActorLives
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries import Answer
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from carla_recap.formats.base import Reader
 
 
@@ -33,21 +33,29 @@ def actors(source: Reader) -> RecordedActors:
     return RecordedActors(lives, source, compat=False)
 
 
-def never_there(source: Reader, lives: Collection[ActorLife]) -> set[int]:
-    """Return the ids of vehicles and walkers, of all actors, that are away from the roads in all frames that have them.
+def never_there(source: Reader, lives: ActorLives) -> set[tuple[int, float]]:
+    """Return the keys of vehicles and walkers that are away from the roads in all frames that have them.
 
     Frames are read until each vehicle and walker has been there.
     """
-    heights, listed = RoadHeights(lives), set[int]()
-    unseen = {actor.id for actor in lives if actor.kind in ROAD_USERS}
+    heights, listed, there = RoadHeights(list(lives)), set[tuple[int, float]](), set[tuple[int, float]]()
+    users = {actor.key for actor in lives if actor.kind in ROAD_USERS}
+    spawns = np.sort([time for times in lives.reuses().values() for time in times])
+    known: dict[int, tuple[set[int], set[int]]] = defaultdict(lambda: (set(), set()))  # ids, by the number of spawns before
     for batch in source.batches(("transforms",)):
-        if not unseen:
+        if users <= there:
             break
         transforms = batch.records("transforms")
         away, ids = heights.away_in(transforms), transforms["id"]
-        listed.update(np.unique(ids).tolist())
-        unseen.difference_update(np.unique(ids[~away]).tolist())
-    return unseen & listed
+        number = np.searchsorted(spawns, batch.elapsed + SAME_TIME, "right")
+        for each in np.unique(number).tolist():
+            rows = number == each
+            time = float(batch.elapsed[rows][0]) + SAME_TIME
+            for keys, before, found in zip((listed, there), known[each], (ids[rows], ids[rows][~away[rows]]), strict=True):
+                new = set(np.unique(found).tolist()) - before
+                before |= new
+                keys |= {life.key for id in new if (life := lives.at(id, time))}
+    return (users - there) & listed
 
 
 def lives_and_contacts(source: Reader, *, stop: float = math.inf) -> tuple[ActorLives, Contacts]:
@@ -56,4 +64,6 @@ def lives_and_contacts(source: Reader, *, stop: float = math.inf) -> tuple[Actor
     for frame in source.frames((*TYPES, "collisions"), sparse=True, stop=stop):
         contacts.add(frame)
         lives.add(frame.packets, frame.elapsed)
+    for contact in contacts:
+        contact.actors = tuple(lives.at(id, contact.start + SAME_TIME) for id in contact.ids)
     return lives, contacts

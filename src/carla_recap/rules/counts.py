@@ -152,7 +152,7 @@ class ActorCount(Condition):
         """See `Condition.judge`."""
         found = [actor for actor in facts.actors if self.of.matches(actor)]
         if any(actor.kind in ROAD_USERS for actor in found):
-            found = [actor for actor in found if actor.id not in facts.never_there]
+            found = [actor for actor in found if actor.key not in facts.never_there]
         message = f"{len(found)} {'actor' if len(found) == 1 else 'actors'} ({self.of})"
         most = len(found) if self.bounds.most is None else int(self.bounds.most.value)
         surplus = sorted(found, key=lambda actor: actor.spawned_at)[most:]

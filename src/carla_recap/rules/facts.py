@@ -173,9 +173,9 @@ class Facts:
 
     @property
     @_once
-    def never_there(self) -> set[int]:
-        """The ids of the vehicles and walkers that are at no time near the roads."""
-        return never_there(self.recording.reader, list(self.actors))
+    def never_there(self) -> set[tuple[int, float]]:
+        """The keys of the vehicles and walkers that are at no time near the roads."""
+        return never_there(self.recording.reader, self.actors)
 
     @property
     @_once
@@ -231,7 +231,7 @@ class Facts:
         """Return the actors that are chosen and have positions; any: vehicles and walkers; none that are never there."""
         chosen = [life for life in self.actors if of.matches_user(life)]
         if any(life.kind in ROAD_USERS for life in chosen):
-            chosen = [life for life in chosen if life.id not in self.never_there]
+            chosen = [life for life in chosen if life.key not in self.never_there]
         return [life for life in chosen if len(self.positions(life).time)]
 
     @_once

@@ -125,7 +125,7 @@ def crossings(reader: Reader, longest: float) -> set[tuple[int, int, float, floa
     for table in [*tables, *collector.finish()]:
         search.add(table, np.ones(len(table.ids), np.bool_))
     return {
-        (each.id2, each.id1, *(round(time, 6) for time in (each.start, each.stop, each.post_encroachment_time)))
+        (each.other.id, each.one.id, *(round(time, 6) for time in (each.start, each.stop, each.post_encroachment_time)))
         for each in search.finish()
     }
 
@@ -184,7 +184,7 @@ TIME = np.arange(0, 14, 0.05)
 
 def test_a_crossing_has_both_actors_and_times() -> None:
     (found,) = found_in(crossing(TIME))
-    assert (found.id2, found.id1) == (1, 2)
+    assert (found.other.id, found.one.id) == (1, 2)
     assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
     assert found.stop - found.start == pytest.approx(1.4, abs=0.11)
     assert found.speed == pytest.approx(10)

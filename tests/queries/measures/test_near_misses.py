@@ -43,13 +43,23 @@ def braking(id: int, x: float, speed: float, from_time: float, deceleration: flo
     return Mover(id, position, **given)
 
 
+def test_encounters_of_two_actors_with_one_id_are_two(drive: Drive) -> None:
+    """A car comes near another one at 1 s; from 1.5 s on, a car with its id comes from farther away."""
+    again = {"destroyed": [(2,)], "spawned": [Spawn(2, 1, type_id="vehicle.mini.cooper_s", attributes=[])]}
+    cars = [straight(1, 0, 0, 0), Mover(2, lambda t: 10 * (t if t < 1.475 else t - 1.5) - (25 if t < 1.475 else 27))]
+    found = near_misses(drive(cars, seconds=3.0, events={30: again}))
+    types = [each.one.type_id for each in found]
+    assert types == ["vehicle.audi.tt", "vehicle.mini.cooper_s"]
+    assert found[0].stop < 1.5 <= found[1].start <= found[0].stop + 3
+
+
 # --- by time to collision -------------------------------------------------------------------------------
 
 
 def test_a_late_braking_behind_a_standing_car(drive: Drive) -> None:
     """From 15 m/s at 7 m/s², to a stop 1 m behind it: the time to collision is least shortly before the end."""
     (found,) = near_misses(drive([braking(1, 0, 15, 2.0, 7.0), straight(2, 30 + 225 / 14 + 5, 0, 0)], seconds=8))
-    assert (found.id1, found.id2) == (1, 2)
+    assert (found.one.id, found.other.id) == (1, 2)
     assert 1.6 <= found.start < found.time <= found.stop < 4.2
     speed = found.speed
     gap = 1 + speed * speed / 14
@@ -131,14 +141,14 @@ def test_cutting_in(drive: Drive) -> None:
     """A slow car comes from the side into the lane, and the other one brakes."""
     cutting = Mover(2, lambda t: 30 + 5 * t, lambda t: 3.5 - min(max(t - 1, 0), 1) * 3.5, lambda t: -35 if 1 < t < 2 else 0)
     (found,) = near_misses(drive([braking(1, 0, 15, 1.8, 8.0), cutting], seconds=6))
-    assert (found.id1, found.id2) == (1, 2)
+    assert (found.one.id, found.other.id) == (1, 2)
     assert found.time_to_collision < 1.5
 
 
 def test_a_pedestrian_in_front_of_a_car(drive: Drive) -> None:
     walker = straight(2, 30, -3, 1.5, yaw=90, kind=2, type_id="walker.pedestrian.0001", size=(0.5, 0.5))
     (found,) = near_misses(drive([braking(1, 0, 12, 1.2, 7.5), walker], seconds=8))
-    assert (found.id1, found.id2) == (1, 2)
+    assert (found.one.id, found.other.id) == (1, 2)
     assert found.time_to_collision <= 1.5
 
 
@@ -155,7 +165,7 @@ def test_pedestrians_do_not_nearly_miss_each_other(drive: Drive) -> None:
 
 def test_crossing_paths(drive: Drive) -> None:
     (found,) = near_misses(drive([straight(1, -20, 0, 10), straight(2, 0, -30, 10, yaw=90)], seconds=6))
-    assert (found.id1, found.id2) == (2, 1)
+    assert (found.one.id, found.other.id) == (2, 1)
     assert found.post_encroachment_time == pytest.approx(0.4, abs=0.03)
     assert found.time_to_collision == math.inf
     assert (found.start, found.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))

@@ -76,7 +76,7 @@ def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
     found = search.finish()
     assert (len(found) > 0) == meet
     if meet:
-        assert [(each.id2, each.id1) for each in found] == [(1, 2)]
+        assert [(each.other.id, each.one.id) for each in found] == [(1, 2)]
         assert found[0].post_encroachment_time == pytest.approx(0.4, abs=0.03)
 
 

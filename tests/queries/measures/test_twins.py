@@ -40,7 +40,7 @@ def twin_of(reader: Reader) -> Twin:
         collector = MotionCollector(lives, contacts)
         found = [table for batch in reader.batches(MOTION) for table in collector.add(batch)]
         (table,) = [*found, *collector.finish()]
-    return Twin(table, contacts)
+    return Twin(table, lives, contacts)
 
 
 @settings(max_examples=EXAMPLES)
@@ -61,7 +61,7 @@ def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, 
         for batch in reader.batches(MOTION):
             detector.batch(batch)
         found = detector.finish()
-    assert [(each.id1, each.id2) for each in found] == [(each.id1, each.id2) for each in expected]
+    assert [(each.one.id, each.other.id) for each in found] == [(each.id1, each.id2) for each in expected]
     for each, twin in zip(found, expected, strict=True):
         assert [getattr(each, name) for name in twin._fields] == pytest.approx(list(twin), abs=1e-6, rel=1e-6)
 

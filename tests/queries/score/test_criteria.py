@@ -182,6 +182,13 @@ def test_a_drive_outside_the_lanes_counts_by_its_share(drives: Drives) -> None:
     assert kinds(drives([(x, Y + (2.2 if 195 < x < 215 else 0.0), yaw) for x, _, yaw in WHOLE])) == []
 
 
+def test_a_jump_outside_the_lanes_is_not_driven(drives: Drives) -> None:
+    """The hero drives 20 m, jumps by 60 m to a place beside the road, and drives 20 m there."""
+    poses = westward(at_speed(10, 20)) + westward(at_speed(10, 20), start=START - 80, y=Y + 4.15)
+    (found,) = drives(poses, route=None).infractions
+    assert found.share == pytest.approx(0.5, abs=0.05)
+
+
 def test_the_lane_of_the_other_direction_is_outside(drives: Drives) -> None:
     found = drives([(x, -Y if 195 < x < 215 else Y, yaw) for x, _, yaw in WHOLE])
     assert kinds(found) == ["outside_route_lanes"]

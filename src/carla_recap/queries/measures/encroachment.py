@@ -20,6 +20,7 @@ from carla_recap.queries.measures.pairs import ELEMENTS, bounds, meeting
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
@@ -49,8 +50,8 @@ _ACROSS: Final = math.sin(math.radians(CROSSING))
 class Encounter:
     """Two actors nearly meet."""
 
-    id1: int  # the actor that approaches, or that arrives second where paths cross
-    id2: int
+    one: ActorLife  # the actor that approaches, or that arrives second where paths cross
+    other: ActorLife
     start: float  # of the critical time, in elapsed seconds; where paths cross, the other actor is there then
     stop: float  # where paths cross, the first actor is there then
     time: float  # the most critical moment
@@ -59,6 +60,11 @@ class Encounter:
     post_encroachment_time: float  # s between leaving and arriving; inf unless it is critical
     speed: float  # m/s, of the first actor at the most critical moment
     place: tuple[float, float, float]  # the location of the first actor at that moment, in m, right-handed
+
+    @property
+    def pair(self) -> frozenset[tuple[int, float]]:
+        """The keys of both actors."""
+        return frozenset((self.one.key, self.other.key))
 
 
 class _TableCrossing(NamedTuple):
@@ -99,7 +105,7 @@ class CrossingSearch:
             frame = int(np.clip(np.searchsorted(table.clock, arrived - SAME_TIME), 0, len(table.time) - 1))
             one, other = table.actors[second], table.actors[first]
             speed, place = float(grid.speed[second, hits.arrived[best]]), table.location(second, frame)
-            encounter = Encounter(one.id, other.id, left, arrived, arrived, math.inf, 0.0, time, speed, place)
+            encounter = Encounter(one, other, left, arrived, arrived, math.inf, 0.0, time, speed, place)
             begin, end = grid.time[[hits.arrived[rows].min(), hits.arrived[rows].max()]].tolist()
             self._found[one.id, one.spawned_at, other.id, other.spawned_at].append(
                 _TableCrossing(begin, end, int(lag[best]), encounter)

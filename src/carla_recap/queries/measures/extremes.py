@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import MOTION
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, MeasureRow, MeasureValues
@@ -120,9 +119,8 @@ class MeasureSearch:
         for table in self._motion.finish():
             self._measure(table)
         for each in self._crossings.finish():
-            one, other = self._lives.at(each.id1, each.stop + SAME_TIME), self._lives.at(each.id2, each.start + SAME_TIME)
-            for subject, met in ((other, one), (one, other)):
-                if subject is not None and met is not None and (self._others is None or self._others(met)):
+            for subject, met in ((each.other, each.one), (each.one, each.other)):
+                if self._others is None or self._others(met):
                     values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met.id], np.int64)
                     self._note(subject, "post_encroachment_time", MeasureValues(*values))
         self._note_driving()
@@ -147,7 +145,7 @@ class MeasureSearch:
         shortest[[actor.id in kept for actor in actors]] = math.nan
         series = series_of(table, rows, self._others, shortest=shortest)
         for number, actor in enumerate(actors):
-            for start, stop in self._contacts.affected(actor.id, _BEFORE_CONTACT):
+            for start, stop in self._contacts.affected(actor, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)
                 series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
         time, present = table.time[table.core], ~np.isnan(table.x[rows, table.core])

@@ -134,8 +134,8 @@ class MotionTable:
         found = []
         for contact in self.contacts:
             begin, end = np.searchsorted(self.clock, (contact.start - SAME_TIME, contact.stop + SAME_TIME)).tolist()
-            ones, others = (np.flatnonzero(self.ids == id) for id in contact.ids)
-            pairs = [(one, other) for one in ones.tolist() for other in others.tolist() if begin < end]
+            ones, others = ([row for row, actor in enumerate(self.actors) if actor is life] for life in contact.actors)
+            pairs = [(one, other) for one in ones for other in others if begin < end]
             found += [(one, other, slice(begin, end)) for one, other in pairs if self.free(one, other)]
         return tuple(found)
 
@@ -149,13 +149,12 @@ class MotionTable:
     @cached_property
     def thrown(self) -> Booleans:
         """Whether an actor may be thrown: it touches a vehicle, or has done so in the 5 s before, (actors, frames)."""
-        found, spawned = np.zeros(self.x.shape, np.bool_), np.array([actor.spawned_at for actor in self.actors])
+        found = np.zeros(self.x.shape, np.bool_)
         for contact in self.contacts:
             during = (self.time >= contact.start - SAME_TIME) & (self.time <= contact.stop + THROWN)
-            rows = [(self.ids == id) & (spawned <= contact.stop + SAME_TIME) for id in contact.ids]
-            for these, others in (rows, rows[::-1]):
-                if (others & self.is_vehicle).any():
-                    found[np.ix_(these, during)] = True
+            for one, other in (contact.actors, contact.actors[::-1]):
+                if other is not None and other.kind == "vehicle":
+                    found[[actor is one for actor in self.actors]] |= during
         return found
 
     @cached_property

@@ -70,7 +70,7 @@ class NearMissDetector:
         before, after = max(self._crossings.before, BEND_TIME), max(time_to_collision + SEEN, ENCOUNTER)
         self._motion = MotionCollector(actors, contacts, before=before, after=after, start=start, stop=stop)
         self.span = self._motion.span
-        self._approaches: dict[tuple[int, float, int, float], list[Encounter]] = defaultdict(list)
+        self._approaches: dict[frozenset[tuple[int, float]], list[Encounter]] = defaultdict(list)
 
     def batch(self, batch: Batch) -> None:
         """Process the frames of a batch, which have at least their transforms and velocities."""
@@ -81,24 +81,22 @@ class NearMissDetector:
         """Return the near misses in all frames, by start."""
         for table in self._motion.finish():
             self._add(table)
-        critical: dict[tuple[int, int], list[Encounter]] = defaultdict(list)
-        for approaches in self._approaches.values():
-            for miss in _joined(approaches):
-                if miss.required_deceleration >= self._deceleration:
-                    critical[min(miss.id1, miss.id2), max(miss.id1, miss.id2)].append(miss)
+        critical: dict[frozenset[tuple[int, float]], list[Encounter]] = defaultdict(list)
+        for pair, approaches in self._approaches.items():
+            critical[pair] += [miss for miss in _joined(approaches) if miss.required_deceleration >= self._deceleration]
         for miss in self._crossings.finish():
-            critical[min(miss.id1, miss.id2), max(miss.id1, miss.id2)].append(miss)
+            critical[miss.pair].append(miss)
         found = [
             each
             for misses in critical.values()
             for each in _joined(sorted(misses, key=lambda miss: miss.start))
             if not self._collides(each)
         ]
-        return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))
+        return sorted(found, key=lambda miss: (miss.start, miss.one.key, miss.other.key))
 
     def _collides(self, miss: Encounter) -> bool:
         """Return whether an encounter ends in a collision, or follows one."""
-        contacts = self._contacts.of(miss.id1, miss.id2)
+        contacts = self._contacts.of(miss.one, miss.other)
         return any(each.start - UNTIL_CONTACT <= miss.stop and miss.start <= each.stop + _AFTER_CONTACT for each in contacts)
 
     def _add(self, table: MotionTable) -> None:
@@ -127,8 +125,8 @@ class NearMissDetector:
             room = 2 * times[rows]
             braking = np.divide(speeds[rows], room, out=np.where(speeds[rows] > 0, np.inf, 0.0), where=room > 0)
             miss = Encounter(
-                int(table.ids[one]),
-                int(table.ids[other]),
+                table.actors[one],
+                table.actors[other],
                 float(table.time[pairs.frame[rows[0]]]),
                 float(table.time[pairs.frame[rows[-1]]]),
                 float(table.time[frame]),
@@ -138,8 +136,7 @@ class NearMissDetector:
                 float(table.speed[one, frame]),
                 table.location(one, frame),
             )
-            pair = sorted((actor.id, actor.spawned_at) for actor in (table.actors[one], table.actors[other]))
-            self._approaches[*pair[0], *pair[1]].append(miss)
+            self._approaches[miss.pair].append(miss)
 
 
 def _joined(critical: list[Encounter]) -> list[Encounter]:

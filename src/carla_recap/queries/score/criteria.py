@@ -139,7 +139,7 @@ def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) ->
     hero, end = drive.actor.id, len(drive) - 1
     touches = []
     for contact in contacts:
-        if hero in contact.ids and actors.at(hero, contact.start + SAME_TIME) is drive.actor:
+        if contact.is_of(drive.actor):
             first, last = np.searchsorted(drive.time, (contact.start - SAME_TIME, contact.stop + SAME_TIME)).tolist()
             if first == last and abs(drive.time[min(first, end)] - contact.start) <= LONGEST_STEP:
                 first, last = min(first, end), min(first, end) + 1
@@ -246,7 +246,8 @@ def outside_lanes(drive: Drive, route: PlannedRoute, town: LaneMap) -> Iterator[
     total = wrong = 0.0
     index, latest = 0, 0
     for tick, number in route.passed(drive.ticks, _WIDE_WINDOW):
-        step = float(np.linalg.norm(route.points[number] - route.points[index]))
+        driven = route.travelled[number] - route.travelled[index]  # a driven path has jumps
+        step = min(float(np.linalg.norm(route.points[number] - route.points[index])), float(driven))
         index, frame = number, int(drive.frames[tick])
         total += step
         if outside[frame]:
