@@ -15,6 +15,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from carla_recap import FormatError, RecapError, convert, open_recording
+from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
 from carla_recap.output import differences, json, text
 from carla_recap.queries.info import info
@@ -188,3 +189,14 @@ def test_answers_are_equal(name: str, data: st.DataObject, tmp_path: Path) -> No
         else:
             first, second = (answer(query, recording, given_options) for recording in (a, b))
     assert first == second
+
+
+def test_bytes_behind_no_spawns_are_warned_of_in_both(tmp_path: Path) -> None:
+    frames = [Frame(0, 1, 0.0, 1.0, []), Frame(1, 2, 1.0, 1.0, [Packet(2, UE4[2], b"\0\0\7")])]
+    write(tmp_path / "a.log", Header("Nowhere", 0), frames)
+    with warnings_ignored():
+        convert(tmp_path / "a.log", tmp_path / "a.mcap")
+    with open_recording(tmp_path / "a.log") as a, open_recording(tmp_path / "a.mcap") as b:
+        first, second = (answer(lambda recording: recording.blocked(), each, {}) for each in (a, b))
+    assert first == second
+    assert first[1] == [": spawned has 1 bytes more than its records need; they are kept as they are"]

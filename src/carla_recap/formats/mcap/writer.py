@@ -252,9 +252,10 @@ class McapWriter(ChunkedFile, Writer):
         chunk, channel = self._chunks[type.group], self._channel_of[id]
         try:
             body = encode(type, payload)
-            if type.fixed and (surplus := check(type, payload)):
-                packet.warn_of(surplus)
+            if (type.fixed or type.name == "spawned") and (surplus := check(type, payload)):
                 self._digest.found_irregular(type)
+                if type.fixed:
+                    packet.warn_of(surplus)
         except PayloadError as error:
             raise packet.error(error) from None
         if len(head) + len(body) > OBJECTS_LIMIT:
