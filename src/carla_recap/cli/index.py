@@ -268,7 +268,7 @@ def _encoded(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: times as text, numbers that are not finite as null; decimals that are no doubles remain."""
+    """Return a value as JSON has it: times as text, numbers that are not finite as null; decimals may remain."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Decimal):
