@@ -12,7 +12,19 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from click.testing import CliRunner
 
-from carla_recap import MissingExtra, RecapError, SensorRig, clips, export, export_sensed, open_recording, write_report
+from carla_recap import (
+    MissingExtra,
+    RecapError,
+    SensorRig,
+    clip,
+    clips,
+    convert,
+    export,
+    export_sensed,
+    open_recording,
+    recover,
+    write_report,
+)
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
 from carla_recap.util.files import AtomicFile
@@ -169,9 +181,12 @@ def test_a_file_made_meanwhile_is_kept(
 
 
 OTHERS: dict[str, tuple[str, Callable[..., object]]] = {
+    "clip": (".log", lambda recording, path, **options: clip(recording.path, path, start=20, duration=1, **options)),
     "clips": ("", lambda recording, path, **options: clips(recording.path, path, rerun=False, **options)),
+    "conversion": (".mcap", lambda recording, path, **options: convert(recording.path, path, **options)),
     "page": (".html", partial(write_report, options=WITHOUT_ROADS, pictures="none")),
     "page as a folder": ("", partial(write_report, options=WITHOUT_ROADS, pictures="none")),
+    "recovery": (".log", lambda recording, path, **options: recover(recording.path, path, **options)),
     "sensed": (".mcap", partial(export_sensed, rig=SensorRig.of([SPEED]), start=20, duration=1)),
 }
 """What is written beside exports: the suffix of files, and the function."""

@@ -115,18 +115,6 @@ def test_pages_and_index_have_the_runs_of_the_last_campaign_alone(tmp_path):
     assert answer("sql", tmp_path / INDEX, query, "--csv") == "seed,roads_known\n2,true\n3,true\n"
 
 
-def test_recordings_of_another_function_are_one_line(tmp_path):
-    arguments = ("--out", tmp_path, "--pages", "0", *ALONE)
-    assert run("campaign", f"{FILE}:drive", *arguments).returncode == 0
-    line = error("campaign", f"{FILE}:wait_here", *arguments, "--duration", "0.5")
-    assert line.endswith(
-        "seed=1.mcap: is there already, and was made with function drive instead of wait_here, duration 0.0 instead of 0.5; "
-        "--again makes such recordings anew, or another folder was expected"
-    )
-    done = run("campaign", f"{FILE}:wait_here", *arguments, "--duration", "0.5", "--again")
-    assert done.stderr.decode().splitlines()[-1] == "runs: 1 done, 0 were there, 0 failed"
-
-
 def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
     arguments = ["campaign", f"{FILE}:misbehave", "--param", "how=nothing,hang", "--out", str(tmp_path), "--workers", "1"]
     with Popen([COMMAND, *arguments], stdout=PIPE, stderr=PIPE, env=ENVIRONMENT) as process:

@@ -202,15 +202,6 @@ def test_a_copy_in_the_same_format_is_equal(small, tmp_path, suffix):
     assert copy.read_bytes() == source.read_bytes()
 
 
-def test_a_list_longer_than_its_packet_is_an_error_with_its_offset(tmp_path):
-    before = log_header() + start(1, 0.0)
-    log = save(tmp_path / "short.log", before + packet(6, b"\x09\0" + bytes(28)) + END)
-    with pytest.raises(RecapError, match="transforms: 9 records need 254 bytes, the packet has 30") as caught:
-        convert(log, tmp_path / "out.mcap")
-    assert f"{log}: byte {len(before) + 5 + 2}: " in str(caught.value)
-    assert names_in(tmp_path) == ["short.log"]
-
-
 def test_progress_sees_every_frame(small, tmp_path):
     seen = []
 
@@ -259,8 +250,6 @@ def test_a_failure_leaves_the_destination_unchanged(tmp_path):
 @pytest.mark.parametrize(
     ("destination", "reason"),
     [
-        ("no/such/place.mcap", "No such file or directory"),
-        ("no/such/place.log", "No such file or directory"),
         ("recording.xyz", r"unknown format '\.xyz'; \.log or \.mcap was expected"),
         ("recording", "no suffix, which says the format"),
     ],
@@ -270,12 +259,6 @@ def test_an_impossible_destination_is_an_error(small, tmp_path, destination, rea
         convert(small, tmp_path / destination)
     assert str(tmp_path / destination) in str(caught.value)
     assert names_in(tmp_path) == ["small.log"]
-
-
-def test_a_directory_as_destination_is_an_error(small, tmp_path):
-    (tmp_path / "dir.mcap").mkdir()
-    with pytest.raises(RecapError, match="directory"):
-        convert(small, tmp_path / "dir.mcap", force=True)
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])

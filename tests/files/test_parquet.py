@@ -11,7 +11,7 @@ from carla_recap import RecapError, create_recording, export_parquet, open_recor
 from carla_recap.files import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
 from tests.cli.command import CROSSING
-from tests.samples import log_header, names_in, packet, save, start
+from tests.samples import names_in
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 from pyarrow import parquet
@@ -114,13 +114,6 @@ def test_an_empty_recording_has_empty_files_of_queries(tmp_path: Path) -> None:
     assert set(names_in(tmp_path / "out")) == ANSWERS
     table = parquet.read_table(tmp_path / "out" / "actors.parquet")
     assert (table.num_rows, str(table.schema.field("attributes").type).partition(" (")[0]) == (0, "map<string, string")
-
-
-def test_a_failure_leaves_no_files(tmp_path: Path) -> None:
-    broken = log_header() + start(1, 0.0) + packet(6, b"\1") + start(2, 1.0)
-    with open_recording(save(tmp_path / "broken.log", broken)) as recording, pytest.raises(RecapError, match="transforms"):
-        export_parquet(recording, tmp_path / "out")
-    assert names_in(tmp_path) == ["broken.log"]
 
 
 @pytest.mark.parametrize("ask", ["table", "trajectories", "actors", "collisions"])

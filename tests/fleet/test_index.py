@@ -172,21 +172,6 @@ def test_recordings_are_scored_by_a_route_file(tmp_path):
     assert counts(write_index(sources[:1], index, jobs=1, route=other)) == (1, 0, 0, 0)
 
 
-def test_near_misses_are_incidents_of_recordings_that_are_measured(tmp_path):
-    cars = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id in (3, 5)]
-    boxes = [(id, 0.0, 0.0, 75.0, 200.0, 100.0, 75.0) for id in (3, 5)]
-    with create_recording(tmp_path / "own.mcap", map_name="Town01") as recorder:
-        for index in range(121):  # one crosses the path of the other, 0.4 s after it
-            way = 50.0 * index
-            poses = [(3, -2000.0 + way, 0.0, 0.0, 0.0, 0.0, 0.0), (5, 0.0, 3000.0 - way, 0.0, 0.0, 0.0, -90.0)]
-            first = {"spawned": cars, "bounding_boxes": boxes} if index == 0 else {}
-            recorder.add_frame(index / 20, transforms=poses, **first)
-    write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1)
-    assert open_index(tmp_path / "index").table("incidents").num_rows == 0
-    write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1, measures=True)
-    assert open_index(tmp_path / "index").table("incidents")["kind"].to_pylist() == ["near miss"]
-
-
 def test_heroes_that_never_drive_are_not_measured(tmp_path):
     role = attributes(role_name="hero")
     spectator = Spawn(2, ActorKind.OTHER, type_id="spectator", attributes=role)
@@ -365,14 +350,6 @@ def test_queries_begin_with_one_of_several_words(index, query):
         "show": "tables",
     }
     assert open_index(index).sql(f"{query} {rest.get(query, 'recordings')}").num_rows
-
-
-def test_a_recording_is_not_taken_for_an_index(runs):
-    before = (runs / NAMES[0]).read_bytes()
-    for use in (open_index, lambda path: write_index([runs / NAMES[1]], path, jobs=1)):
-        with pytest.raises(RecapError, match="is no index of recordings"):
-            use(runs / NAMES[0])
-    assert (runs / NAMES[0]).read_bytes() == before
 
 
 def test_a_recording_of_unknown_size_is_read_again(tmp_path, monkeypatch):

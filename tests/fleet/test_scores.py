@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from carla_recap import RecapError, Score, open_recording, read_routes, score
 from carla_recap.fleet.outcomes import Outcome
-from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
+from carla_recap.fleet.scores import ScoreLimits, checked
 from carla_recap.fleet.sources import find_sources
-from carla_recap.queries.score import ScoreOptions
 from tests.samples import CRASH, SAMPLES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ROUTES = SAMPLES / "routes.xml"
 
@@ -37,25 +31,9 @@ def test_a_recording_is_scored_by_a_file_a_route_or_without_one() -> None:
     assert (own.route, own.status, own.penalty) == ("", "Driven", 0.3)
 
 
-def test_the_formula_is_an_option() -> None:
-    assert of_crash(formula="2.1").penalty == pytest.approx(1 / (1 + 1.0 + 0.7), abs=1e-6)
-    with pytest.raises(RecapError, match=r"'3' is no formula; there are 1.0, 2.0, 2.1"):
-        of_crash(formula="3")
-
-
 def test_a_vehicle_that_is_not_there_is_an_error() -> None:
     with open_recording(CRASH) as recording, pytest.raises(RecapError, match="no vehicle 99999"):
         score(recording, actor=99999)
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_many_recordings_are_scored_in_their_order(jobs: int, tmp_path: Path) -> None:
-    broken = tmp_path / "broken.mcap"
-    broken.write_bytes(b"nothing")
-    sources = find_sources([str(CRASH), str(broken), str(SAMPLES / "avoided.mcap")], errors="yield")
-    found = list(score_sources(sources, read_routes(ROUTES), ScoreOptions(), route_id="1", jobs=jobs))
-    assert [None if each.value is None else each.value.score for each in found] == [30.0, None, 100.0]
-    assert "is not a recording" in (found[1].error or "")
 
 
 def outcome(value: Score | None = None, error: str | None = None) -> Outcome[Score]:

@@ -11,7 +11,6 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats.mcap.reader import McapReader
-from carla_recap.model import braking as braking_module
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 from carla_recap.output.json import json as json_text
@@ -279,15 +278,6 @@ def test_a_slow_recording(tmp_path: Path) -> None:
     assert (row.start, row.stop) == (1.0, 2.5)
 
 
-def test_blocks_make_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    speeds = [speed for at in range(6) for speed in slowing(7.0 + at, seconds=6)]
-    path = drive(tmp_path / "drive.mcap", ways(speeds), speeds)
-    whole = braked(path)
-    assert len(whole) == 6
-    monkeypatch.setattr(braking_module, "_BLOCK", 1)
-    assert braked(path) == whole
-
-
 def test_an_actor_that_comes_twice_in_a_frame(tmp_path: Path) -> None:
     """The last record counts."""
     x = ways(slowing(8.0))
@@ -397,16 +387,6 @@ def test_near_misses(crossing: Callable[[float], Reader]) -> None:
     assert (row.value, row.time) == (pytest.approx(0.4, abs=0.05), pytest.approx(2.7, abs=0.06))
     assert list(incidents(reader, IncidentOptions(kinds=kinds_without_roads()))) == [row]
     assert incidents(reader) == []
-
-
-def test_limits_of_near_misses_are_options(crossing: Callable[[float], Reader]) -> None:
-    reader = crossing(0.4)
-    assert incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.3)) == []
-    (row,) = incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.5))
-    assert (row.measure, row.threshold) == ("post_encroachment_time", 0.5)
-    later = crossing(1.8)
-    assert incidents(later, IncidentOptions(kinds=["near miss"])) == []
-    assert len(incidents(later, IncidentOptions(kinds=["near miss"], post_encroachment_time=2))) == 1
 
 
 @pytest.mark.parametrize("value", [-0.1, math.inf, math.nan])

@@ -118,7 +118,7 @@ def test_an_export_is_no_recording(tmp_path):
         open_recording(tmp_path / "export.mcap")
 
 
-@pytest.mark.parametrize("name", ["crossing", *REAL])
+@pytest.mark.parametrize("name", ["crossing", REAL[0]])
 def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch, name):
     source = CROSSING if name == "crossing" else carla_log(name)
     export(source, tmp_path / "many.mcap", duration=8)

@@ -156,16 +156,6 @@ def test_models_have_the_recorded_colour(tmp_path: Path) -> None:
         assert (painted[:, :3].argmax(axis=1) == strongest).mean() > 0.6
 
 
-def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1), pose(2, 300 if 10 <= n < 20 else 3000, z=90)]} for n in range(50)]
-    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "walker.pedestrian.0001")]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
-    assert (first & 255, second & 255) == (102, 255)
-    assert hides == pytest.approx(1.0, abs=0.21)
-    assert free == pytest.approx(2.9, abs=0.25)
-
-
 def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
     assert crossing.rrd.rows(f"/world/actors/{SENSOR}", "Transform3D:parent_frame")[0][1] == [f"tf#/world/actors/{HERO}"]
 

@@ -202,13 +202,6 @@ def test_the_frame_rate_changes_nothing(rate: int) -> None:
     assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
 
 
-@pytest.mark.parametrize("start", [1e6, 1e8, -5.0])
-def test_a_recording_may_start_at_any_time(start: float) -> None:
-    table = crossing(TIME)
-    (found,) = found_in(replace(table, time=TIME + start))
-    assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
-
-
 @pytest.mark.parametrize(("dz", "some"), [(2.0, True), (-2.0, True), (2.001, False), (-2.001, False)])
 def test_a_bridge_is_no_crossing(dz: float, some: bool) -> None:
     """Boxes of 1.5 m and 2.5 m height touch up to 2 m between their centres."""

@@ -166,21 +166,6 @@ def test_the_impact_itself_is_no_braking(drive: Drive) -> None:
     assert found.get("jerk", 0) < 1
 
 
-def test_more_frames_than_are_measured_at_once(drive: Drive) -> None:
-    """The extremes are found wherever they are, and none is made up where parts meet."""
-    hero = Mover(1, lambda t: 10 * t, role_name="hero")
-    found = of(measures(drive([hero, straight(2, 604, 3, 0)], seconds=75.0)))
-    assert found["gap"].value == pytest.approx(1.0, abs=1e-3)
-    assert found["gap"].time == pytest.approx(60, abs=0.5)
-    assert found["jerk"].value < 0.5
-
-
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_both_formats(drive: Drive, suffix: str) -> None:
-    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 40, 0, 0)]
-    assert values(measures(drive(cars, seconds=1.0, suffix=suffix)))["gap"] == pytest.approx(26, abs=1e-3)
-
-
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
 def test_a_recorded_collision_is_a_contact(drive: Drive, suffix: str) -> None:
     """A car passes another one at 5.7 cm, and its sensor notes a collision in two frames."""

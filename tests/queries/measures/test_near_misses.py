@@ -171,16 +171,6 @@ def test_crossing_paths(drive: Drive) -> None:
     assert (found.start, found.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
 
 
-def test_crossing_later_is_none(drive: Drive) -> None:
-    assert near_misses(drive([straight(1, -20, 0, 10), straight(2, 0, -38, 10, yaw=90)], seconds=6)) == []
-
-
-def test_a_greater_threshold(drive: Drive) -> None:
-    reader = drive([straight(1, -20, 0, 10), straight(2, 0, -38, 10, yaw=90)], seconds=6)
-    (found,) = near_misses(reader, post_encroachment_time=2.0)
-    assert found.post_encroachment_time == pytest.approx(1.2, abs=0.03)
-
-
 def test_following_around_a_corner_is_no_crossing(drive: Drive) -> None:
     def corner(id: int, ahead: float) -> Mover:
         def share(t: float) -> float:
@@ -211,20 +201,6 @@ def test_an_encounter_is_one_near_miss(drive: Drive) -> None:
     assert found.time_to_collision == pytest.approx(1.1, abs=0.02)
     assert found.post_encroachment_time == pytest.approx(0.45, abs=0.02)
     assert (found.start, found.stop) == pytest.approx((1.2, 3.8), abs=0.06)
-
-
-def test_near_misses_in_different_tables(drive: Drive) -> None:
-    """A car meets a crossing one every 51.2 s, as often as parts of a recording begin."""
-
-    def x(t: float) -> float:
-        return 10 * ((t - 0.2) % 51.2) - 20
-
-    cars = [
-        Mover(1, x, present=lambda t: abs(x(t)) < 30),
-        Mover(2, lambda _: 0.0, lambda t: x(t) - 10, lambda _: 90.0, present=lambda t: abs(x(t)) < 30),
-    ]
-    found = near_misses(drive(cars, seconds=160))
-    assert [miss.start for miss in found] == pytest.approx([2.5 + 51.2 * n for n in range(4)], abs=0.1)
 
 
 @pytest.mark.parametrize(("after", "count"), [(4.9, 0), (5.2, 1)])

@@ -10,7 +10,6 @@ from carla_recap import RecapError, open_recording
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.rendering.town import load_town_of
 from carla_recap.show.page import Opening, samples, write_report
-from carla_recap.show.page import report as module
 from tests.replay.scripts import pose, spawn
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
@@ -110,16 +109,6 @@ def test_force_keeps_other_files(tmp_path: Path) -> None:
     assert (page / "mine.txt").read_text() == (page / "data" / "mine.png").read_text() == "mine"
     assert "canvas" in (page / "index.html").read_text()
     assert names_in(tmp_path) == ["a.log", "page"]
-
-
-def test_a_failure_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(module, "copy_files", fail)
-    with pytest.raises(RecapError, match="page: cannot be written: No space left"):
-        report(record(tmp_path / "a.log", [{}]), tmp_path / "page")
-    assert names_in(tmp_path) == ["a.log"]
 
 
 def test_hostile_texts_stay_texts_in_scripts(tmp_path: Path) -> None:

@@ -177,18 +177,6 @@ def test_clips_have_videos(tmp_path: Path, renderer: RenderProcess) -> None:
     assert names_in(tmp_path / "clips") == sorted((clip.recording.name, clip.video.name))
 
 
-def test_progress_sees_all_scenes(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
-    times = []
-
-    def progress(scenes: Any, player: Player) -> Any:
-        for scene in scenes:
-            times.append(scene.time)
-            yield scene
-
-    export_video(crossing, tmp_path / "o.mp4", start=3, duration=1, rate=4, size=SMALL, renderer=renderer, progress=progress)
-    assert times == pytest.approx([3, 3.25, 3.5, 3.75])
-
-
 def test_a_recording_in_which_nothing_can_be_followed(tmp_path: Path, renderer: RenderProcess) -> None:
     with create_recording(tmp_path / "empty.log", map_name="Nowhere", date=0) as recorder:
         recorder.add_frame(0.0)
@@ -263,11 +251,7 @@ def the_said(stderr: bytes) -> str:
     [
         (("--view", "left"), "'left' is neither chase, top or driver nor the id of a recorded camera"),
         (("--speed", "0"), "'0' is not a number of more than 0."),
-        (("--start", "soon"), "'soon' is not a number."),
-        (("--start", "nan"), "'nan' is not a number."),
-        (("--follow", "-1"), "'-1' is neither an actor id nor hero."),
         (("--follow", "9" * 5000), "9' is neither an actor id nor hero."),
-        (("--size", "7"), "'7' is no size"),
     ],
 )
 def test_errors_of_the_command(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
