@@ -13,14 +13,13 @@ import pytest
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from tests.roads import towns
+from tests.roads.towns import PATHS
 
 if TYPE_CHECKING:
     from carla_recap.roads.lanes import LaneGeometry
 
 carla = pytest.importorskip("carla", reason="the extra carla is not installed")
 
-BUILT_IN = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns"
-PATHS = sorted((*BUILT_IN.glob("*.xodr"), *towns.TOWNS.glob("*.xodr")))
 KINDS = {"none": "NONE", "driving": "Driving", "sidewalk": "Sidewalk", "shoulder": "Shoulder", "median": "Median"}
 
 

@@ -13,8 +13,7 @@ from carla_recap.roads.landmarks import find_landmarks
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.surfaces import build_network
-from tests.roads.test_as_carla import PATHS
-from tests.roads.towns import lane, opendrive, road, section
+from tests.roads.towns import PATHS, lane, opendrive, road, section
 from tests.twins.carla_map import CarlaLibrary, differences
 from tests.twins.generated_maps import maps
 

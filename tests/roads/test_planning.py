@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from carla_recap.errors import RecapWarning
 from carla_recap.queries.score.route_files import read_routes
 from carla_recap.roads.planning import RoutePlanner
-from tests.roads.test_waypoints import carla_map, lanes, lanes_of, location, place
+from tests.roads.lane_maps import carla_map, lanes, lanes_of, location, place
 from tests.roads.towns import TOWNS, lane, road, section, town
 from tests.twins.planning import PlainRoad, changes, shortest
 

@@ -2,44 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cache
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from carla_recap.roads.lanes import TownRoads
-from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.waypoints import FARTHEST, NONE, PARKING, LaneMap
-from tests.roads.towns import TOWNS, lane, opendrive, road, section
+from tests.roads.lane_maps import carla_map, lanes, lanes_of, location, place
+from tests.roads.towns import PATHS, lane, road, section
 
-BUILT_IN = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns"
-PATHS = sorted((*BUILT_IN.glob("*.xodr"), *TOWNS.glob("*.xodr")))
-
-
-@cache
-def lanes_of(path: Path) -> LaneMap:
-    return LaneMap(TownRoads(read_opendrive(path.read_text())))
-
-
-def lanes(*roads: str) -> LaneMap:
-    return LaneMap(TownRoads(read_opendrive(opendrive(*roads))))
-
-
-def carla_map(path: Path) -> Any:
-    carla = pytest.importorskip("carla", reason="the extra carla is not installed")
-    return carla.Map("", path.read_text())
-
-
-def location(point: np.ndarray[Any, Any]) -> Any:
-    carla = pytest.importorskip("carla", reason="the extra carla is not installed")
-    return carla.Location(float(point[0]), -float(point[1]), float(point[2]))
-
-
-def place(waypoint: Any) -> np.ndarray[Any, Any]:
-    where = waypoint.transform.location
-    return np.array((where.x, -where.y, where.z))
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def some_places(town: LaneMap, count: int, spread: float) -> np.ndarray[Any, Any]:

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 TOWNS = Path(__file__).parents[3] / "shared" / "data" / "maps"
+BUILT_IN = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns"
+PATHS = sorted((*BUILT_IN.glob("*.xodr"), *TOWNS.glob("*.xodr")))
 
 
 def town(name: str) -> Path:

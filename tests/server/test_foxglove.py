@@ -15,7 +15,7 @@ pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is n
 pytest.importorskip("tornado", reason="tornado is not installed")
 
 from carla_recap.show.foxglove.websocket import FoxgloveServer
-from tests.show.test_foxglove_websocket import connected, decoded
+from tests.show.foxglove_client import connected, decoded
 
 
 def test_a_viewer_sees_what_a_client_does() -> None:

@@ -26,7 +26,7 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.world import World
 from tests.server.inside import client_inside
-from tests.server.test_sensor_feeds import sensor, vehicle
+from tests.server.listening import sensor, vehicle
 from tests.sim.flat import at, flat_town, flat_world
 from tests.waiting import PATIENCE
 

@@ -18,7 +18,7 @@ from carla_recap.server import quirks
 from carla_recap.server.host import Host
 from carla_recap.server.quirks import PendingSubscriptions, unread_bytes
 from tests.server.inside import client_inside
-from tests.server.test_sensor_feeds import sensor
+from tests.server.listening import sensor
 from tests.sim.flat import flat_world
 from tests.waiting import PATIENCE
 

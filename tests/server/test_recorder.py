@@ -31,7 +31,7 @@ from carla_recap.sim.traffic import populate
 from tests.samples import CARLA_LOGS
 from tests.server.client import connect, ticks
 from tests.server.inside import Inside, client_inside
-from tests.sim.recording.test_recorder import disk_of, run_until_it_fails
+from tests.sim.recordings import disk_of, run_until_it_fails
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -17,7 +17,7 @@ from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Vector
 from tests.server.client import place
 from tests.server.client import sensor as sensor_on
-from tests.server.test_sensor_feeds import HERE, Listener, sensor, served, vehicle
+from tests.server.listening import HERE, Listener, sensor, served, vehicle
 from tests.sim.flat import at
 from tests.waiting import wait_until
 

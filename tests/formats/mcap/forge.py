@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER_SIZE = 9 + 20 + len(MAGIC)
 
 
 def read_records(path: Path) -> list[Any]:

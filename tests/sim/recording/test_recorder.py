@@ -14,7 +14,6 @@ import threading
 import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from multiprocessing import get_context
@@ -39,12 +38,10 @@ from carla_recap.sim.recording.writer_process import WriterProcess
 from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car, spawn_walker
-from tests.sim.recordings import frames, record
+from tests.sim.recordings import disk_of, frames, record, run_until_it_fails, writer_pid
 from tests.waiting import PATIENCE, time_limit, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from carla_recap.model.frame import Frame
 
 
@@ -421,7 +418,7 @@ def test_a_visible_recording_whose_writer_is_killed_is_recovered_from_beside_it(
     path = world.recorder.start(tmp_path / f"a{suffix}", visible=True)
     world.run(12.0)
     wait_until(lambda: handed_over.count("write") >= 4)
-    os.kill(pid(world), signal.SIGKILL)
+    os.kill(writer_pid(world), signal.SIGKILL)
     with pytest.warns(RecapWarning, match="the process that writes it has ended"):
         world.stop_recorder()
     (partial,) = tmp_path.iterdir()
@@ -651,7 +648,7 @@ def test_each_recording_has_a_process_that_ends_with_it(tmp_path: Path) -> None:
         for count, recorded in enumerate((world, other), 3):
             recorded.start_recorder(tmp_path / f"{count}.mcap")
             recorded.run(0.05 * count)
-        ids = {pid(world), pid(other)}
+        ids = {writer_pid(world), writer_pid(other)}
         assert len(ids) == 2
     for id in ids:
         with pytest.raises(ProcessLookupError):
@@ -733,28 +730,6 @@ def test_a_script_may_go_to_another_folder_while_it_records(tmp_path: Path, monk
 # --- trouble -----------------------------------------------------------------------------------------------------------
 
 
-def pid(world: World) -> int:
-    """Return the id of the process that writes."""
-    assert world.recorder._writer is not None
-    return world.recorder._writer.pid
-
-
-@contextmanager
-def disk_of(world: World, size: int) -> Iterator[None]:
-    """Let no file that the world's recorder writes grow beyond a size, in bytes: larger than the bytecode of a module."""
-    writer = pid(world)
-    resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, size))
-    yield
-
-
-def run_until_it_fails(world: World) -> None:
-    def has_failed() -> bool:
-        world.tick()
-        return not world.recorder.path
-
-    wait_until(has_failed, pause=0.0)
-
-
 @pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
 def test_a_full_disk_ends_the_recording_and_not_the_simulation(tmp_path: Path) -> None:
     world = flat_world()
@@ -781,7 +756,7 @@ def test_the_process_that_writes_may_be_killed(tmp_path: Path, handed_over: list
     world.run(12.0)
     (partial,) = tmp_path.iterdir()
     wait_until(lambda: handed_over.count("write") >= 4)
-    os.kill(pid(world), signal.SIGKILL)
+    os.kill(writer_pid(world), signal.SIGKILL)
     with pytest.warns(RecapWarning, match=r"the recording has ended: .*a.mcap: the process that writes it has ended"):
         run_until_it_fails(world)
     with warnings.catch_warnings():
@@ -837,14 +812,14 @@ def test_without_an_interpreter_nothing_is_recorded(tmp_path: Path, monkeypatch:
 def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
-    os.kill(pid(world), signal.SIGSTOP)
+    os.kill(writer_pid(world), signal.SIGSTOP)
     durations = []
     with time_limit():
         for _ in range(220):
             begin = time.monotonic()
             world.tick()
             durations.append(time.monotonic() - begin)
-    os.kill(pid(world), signal.SIGCONT)
+    os.kill(writer_pid(world), signal.SIGCONT)
     assert sorted(durations)[200] < 0.2  # a busy machine interrupts a few
     world.close()
     assert len(frames(tmp_path / "a.mcap")) == 220
