@@ -8,6 +8,7 @@ import tracemalloc
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
+import psutil
 import pytest
 
 from carla_recap import open_recording
@@ -93,7 +94,7 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
     if ACTORS < bodies.MOST_BOXES:  # the limits are exceeded in any case
         monkeypatch.setattr(bodies, "MOST_BOXES", 5 * PRESENT)
         monkeypatch.setattr(bodies, "MOST_MODELS", 4 * PRESENT)
-    sizes, memory = [], []
+    sizes, memory, threads = [], [], []
     with Rrd(live_blueprint()) as rrd:
         view = LiveView(rrd.stream, header, "test")
 
@@ -104,6 +105,7 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
         for data, used in parts_of(traffic, view.enter, take):
             sizes.append(len(data))
             memory.append(used)
+            threads.append(psutil.Process().num_threads())
         view.close()  # warns of nothing
     (tmp_path / "last.rrd").write_bytes(data)
     drawn: dict[str, set[str]] = {}
@@ -112,6 +114,7 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
     for id in range(ACTORS + 1, ACTORS + PRESENT):
         assert {"Mesh3D:vertex_positions", "Transform3D:translation"} <= drawn[f"/world/actors/{id}"]
     check_flat(sizes, memory)
+    assert max(threads[1:]) <= threads[0]  # each other actor that is followed has another blueprint
 
 
 @pytest.mark.usefixtures("traced")

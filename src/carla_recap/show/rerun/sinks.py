@@ -167,6 +167,8 @@ def send_blueprint(arrangement: rrb.Blueprint, stream: rr.RecordingStream) -> No
     memory = drawn.memory_recording().storage
     bindings.send_blueprint(memory, make_active=True, make_default=True, recording=stream.to_native())
     drawn.disconnect()
+    del drawn, memory
+    _clean_up()
 
 
 def _blueprint_stream(application: str) -> rr.RecordingStream:
