@@ -67,3 +67,35 @@ def client_inside(host: Host) -> Client:
 @cache
 def _town() -> Town:
     return load_town()
+
+
+class Transport(asyncio.Transport):
+    """Keeps what is written to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.written = b""
+
+    def write(self, data: Any) -> None:
+        self.written += data
+
+    def is_closing(self) -> bool:
+        return False
+
+    def pause_reading(self) -> None:
+        pass
+
+    def resume_reading(self) -> None:
+        pass
+
+    def get_write_buffer_size(self) -> int:
+        return 0
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        return default
+
+    @property
+    def replies(self) -> list[list[Any]]:
+        unpacker = msgpack.Unpacker(unicode_errors="surrogateescape")
+        unpacker.feed(self.written)
+        return list(unpacker)

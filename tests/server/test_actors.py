@@ -17,8 +17,7 @@ from carla_recap.server.host import Client, Host
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
 from tests.server.client import FAR, spawn, ticks
-from tests.server.inside import Inside
-from tests.server.test_connection import Transport
+from tests.server.inside import Inside, Transport
 from tests.sim.flat import flat_world
 
 NAMED = {

@@ -17,8 +17,7 @@ from carla_recap.server.rpc.registry import CALLS
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.sim.actors.moving import Vehicle
 from tests.server.client import FAR, spawn
-from tests.server.inside import Inside
-from tests.server.test_connection import Transport
+from tests.server.inside import Inside, Transport
 from tests.sim.flat import flat_world
 
 if TYPE_CHECKING:

@@ -19,6 +19,7 @@ from carla_recap.server.rpc.codec import EncodedText
 from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool, connection_limit
 from carla_recap.server.rpc.registry import unregistered_call
 from carla_recap.server.rpc.structs import VehicleLightState  # noqa: TC001  (calls read annotations)
+from tests.server.inside import Transport
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Mapping
@@ -39,38 +40,6 @@ class Context:
 
     def leave(self) -> None:
         pass
-
-
-class Transport(asyncio.Transport):
-    """Keeps what is written to it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.written = b""
-
-    def write(self, data: Any) -> None:
-        self.written += data
-
-    def is_closing(self) -> bool:
-        return False
-
-    def pause_reading(self) -> None:
-        pass
-
-    def resume_reading(self) -> None:
-        pass
-
-    def get_write_buffer_size(self) -> int:
-        return 0
-
-    def get_extra_info(self, name: str, default: Any = None) -> Any:
-        return default
-
-    @property
-    def replies(self) -> list[list[Any]]:
-        unpacker = msgpack.Unpacker(unicode_errors="surrogateescape")
-        unpacker.feed(self.written)
-        return list(unpacker)
 
 
 def double(client: Context, number: int, state: VehicleLightState | None = None) -> int:
