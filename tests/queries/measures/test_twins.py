@@ -19,6 +19,7 @@ from carla_recap.model.motion import MOTION
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import measures, time_series
 from carla_recap.queries.measures import motion_table as tables
+from carla_recap.queries.measures.definitions import NO_OTHER
 from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.recorded_actors import lives_and_contacts
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
 
+OTHERS = ("nearest", "threat", "leader")
 EXAMPLES = int(os.environ.get("TWIN_EXAMPLES", "10"))
 LIMITS = st.one_of(st.sampled_from([0.0, 1.0, 1.5, 3.0]), st.floats(-1, 1.7781).map(lambda power: min(10**power, 60.0)))
 
@@ -68,6 +70,7 @@ def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, 
 
 @settings(max_examples=EXAMPLES)
 @example(1117692447, 7)  # an actor that turns where it stands
+@example(840531376, 1)  # two actors overlap a third one
 @example(2805, 1)  # two leaders at the distance 0
 @example(34194, 1)  # a leader at the distance 0 of an actor whose speed is unknown
 @example(2629714983, 1)  # a contact with an actor that has no pose around then
@@ -84,31 +87,34 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
     crossings = twin.crossings(3.0, 1.0, only_vehicles=False)
     extremes: dict[tuple[int, str], list[float]] = defaultdict(list)
     for id in ids:
-        times, gaps, courses, headways, braking = [], [], [], [], []
+        times, gaps, courses, headways, braking, named = [], [], [], [], [], []
         for row in (row for row in twin.rows if twin.table.actors[row].id == id):
             first = len(times)
             for frame, time in enumerate(twin.time):
                 a = twin.poses[row][frame]
                 if a is None:
                     continue
-                gap = seconds = confirmed = headway = math.inf
-                leader = None
+                gap = seconds = ahead = math.inf, NO_OTHER  # with the other actor, of several alike that of the least id
+                confirmed, leader = math.inf, None
                 for other in twin.rows:
-                    b = twin.poses[other][frame]
+                    b, met = twin.poses[other][frame], twin.table.actors[other].id
                     if other == row or not twin.counts(row, other):
                         continue
                     if any(frame in twin.touching(row, each) for each in twin.contacts_of(row, other)):
-                        gap = seconds = confirmed = 0.0
+                        gap, seconds, confirmed = min(gap, (0.0, met)), min(seconds, (0.0, met)), 0.0
                     if b is None or not twin.level(row, other, a, b):
                         continue
                     if math.hypot(b.x - a.x, b.y - a.y) <= 100:
-                        gap = min(gap, twin.gap(row, other, a, b))
-                        if (distance := twin.headway(row, other, a, b)) < headway:
-                            headway, leader = distance, b
-                    seconds = min(seconds, twin.touch(row, other, a, b))
+                        gap = min(gap, (twin.gap(row, other, a, b), met))
+                        if (distance := twin.headway(row, other, a, b)) < ahead[0]:
+                            ahead, leader = (distance, met), b
+                    if (until := twin.touch(row, other, a, b)) <= 10:
+                        seconds = min(seconds, (until, met))
                     confirmed = min(confirmed, twin.collision_course(row, other, frame, 10.0))
+                headway = ahead[0]
                 times.append(time)
-                gaps.append((gap, seconds if seconds <= 10 else math.inf))
+                named.append((gap[1], seconds[1], ahead[1]))
+                gaps.append((gap[0], seconds[0]))
                 courses.append(confirmed)
                 headways.append((headway, headway / twin.forwards(a) if twin.forwards(a) > 0 else math.inf))
                 braking.append(twin.braking(a, leader, headway) if leader else 0.0)
@@ -124,6 +130,7 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
             for name, value in least.items():
                 extremes[id, name] += [value] if value < math.inf else []
         assert series[id].time.tolist() == times
+        assert list(zip(*(getattr(series[id], name).tolist() for name in OTHERS), strict=True)) == named
         assert series[id].gap.tolist() == pytest.approx([gap for gap, _ in gaps], abs=1e-6)
         assert series[id].time_to_collision.tolist() == pytest.approx([seconds for _, seconds in gaps], abs=1e-6)
         assert series[id].distance_headway.tolist() == pytest.approx([each for each, _ in headways], abs=1e-6)

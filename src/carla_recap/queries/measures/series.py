@@ -84,7 +84,7 @@ def series_of(
             if position[row] >= 0 and counts[met]:
                 there = table.frames_of(row, frames)
                 for least in (gaps, times):
-                    least.value[position[row], there], least.other[position[row], there] = 0.0, met
+                    least.touch(position[row], there, met)
     speed, yaw, frame = table.speed[subjects], table.yaw[subjects], np.arange(shape[1])
     forwards = np.maximum(table.along[subjects], 0.0)  # a follower approaches its leader
     leader, acceleration = headways.other, slope(table.time, speed, SPEED_WINDOW)
@@ -108,7 +108,7 @@ def series_of(
 
 
 class _Least:
-    """The least value of each subject in each frame, and the row of the other actor, the first one of several alike."""
+    """The least value of each subject in each frame, and the row of the other actor, of several alike the first one."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.value = np.full(shape, np.inf)
@@ -124,13 +124,18 @@ class _Least:
         is_least = values[kept] == value[key]
         np.minimum.at(other, key[is_least], pairs.other[kept[is_least]])
 
+    def touch(self, row: int, frames: Indices, other: int) -> None:
+        """Add a contact of a subject in a row, in some frames: 0."""
+        others = np.where(self.value[row, frames] > 0, other, np.minimum(self.other[row, frames], other))
+        self.value[row, frames], self.other[row, frames] = 0.0, others
+
 
 def _add_gaps(gaps: _Least, row: Indices, pairs: PairFrames) -> None:
     """Add the gaps of the pairs that may have the least one of a subject in a frame."""
     most = np.full(gaps.value.size, np.inf)
     key = row * gaps.value.shape[1] + pairs.frame
     radius = np.minimum(pairs.table.length, pairs.table.width) / 2  # of a circle within each box
-    np.minimum.at(most, key, pairs.distance - radius[pairs.one] - radius[pairs.other])
+    np.minimum.at(most, key, np.maximum(pairs.distance - radius[pairs.one] - radius[pairs.other], 0.0))
     kept = pairs.distance - pairs.around() <= np.minimum(most, gaps.value.ravel())[key]
     pairs = pairs.take(kept)
     gaps.add(row[kept], pairs, gap(*pairs.boxes()))
