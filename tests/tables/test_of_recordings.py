@@ -423,24 +423,17 @@ def test_trajectories_are_one_table(crossing: Recording) -> None:
     assert list(columns)[:5] == ["id", "time", "x", "y", "z"]
     assert len(columns["id"]) == sum(map(len, found.values()))
     for id, path in found.items():
-        rows = columns["id"] == id
-        np.testing.assert_array_equal(columns["x"][rows], path.x)
-        np.testing.assert_array_equal(columns["speed"][rows], path.speed)
+        for name, values in path.columns().items():
+            np.testing.assert_array_equal(columns[name][columns["id"] == id], values)
     assert found.units()["speed"] == "m/s"
     assert set(found.units()) <= set(columns)
 
 
 def test_one_trajectory_has_the_columns_of_all(crossing: Recording) -> None:
     found = crossing.trajectories()
-    id = next(iter(found))
-    one, every = crossing.trajectory(id), found.columns()
-    rows = every["id"] == id
-    assert one.id == id
-    assert set(one.columns()) == set(every)
+    one, every = crossing.trajectory(next(iter(found))), found.columns()
+    assert {name: values.dtype for name, values in one.columns().items()} == {n: v.dtype for n, v in every.items()}
     assert one.units() == found.units()
-    for name, values in one.columns().items():
-        assert values.dtype == every[name].dtype
-        np.testing.assert_array_equal(values, every[name][rows])
     sensor = next(actor.id for actor in crossing.actors.values() if actor.id not in found)
     assert list(crossing.trajectory(sensor).columns()) == list(one.columns())
 
