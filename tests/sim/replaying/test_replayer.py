@@ -385,7 +385,7 @@ def test_a_vehicle_drives_on_in_a_gear_that_it_has(revolutions: float) -> None:
     car.physics_control = replace(car.physics_control, max_rpm=revolutions)
     car.set_simulate_physics(False)
     car.rows.gear[car.row] = 5  # recorded of a vehicle with more gears
-    _drive_on(car, Vector(), 0.0)
+    _drive_on(car, Vector(), 0.0, autopilot=False)
     world.tick()
     assert car.rows.gear[car.row] <= car.gears == 1
 
@@ -971,7 +971,7 @@ def test_a_released_vehicle_drives_on_as_it_did(tmp_path: Path, model: str, cont
     car.apply_control(control)
     assert (car.control.gear, car.rows.engine[0], car.rows.steer_input[0]) == (
         before[0].gear,
-        pytest.approx(before[1], rel=0.12),
+        pytest.approx(before[1], rel=0.025),
         pytest.approx(before[2], abs=1e-6),
     )
     for speed, yaw in driven:

@@ -110,6 +110,18 @@ def test_keeps_its_lane_in_tight_turns_at_a_comfortable_speed(name: str, radius:
     assert 5.0 < fastest < 1.06 * LIMIT
 
 
+@pytest.mark.parametrize("lead", [-8.0, 0.0, 8.0])
+def test_long_vehicles_meet_beside_a_narrow_bend_and_not_in_it(lead: float) -> None:
+    inner = lane(0, (60, 0), (4 * np.pi, 90), (60, 0))
+    outer = lane(1, (60, 0), (6 * np.pi, -90), (60, 0), start=(72.0, 68.0), yaw=-90.0)
+    world = world_of(inner, outer)
+    one = car(world, 20.0 + lead, name="vehicle.carlamotors.firetruck")
+    other = car(world, 72.0, 48.0, yaw=-90.0, name="vehicle.carlamotors.firetruck")
+    run(world, 25)
+    assert one.transform.location.y > 40
+    assert other.transform.location.x < 40
+
+
 def test_drives_about_as_fast_as_the_limit() -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 10.0)

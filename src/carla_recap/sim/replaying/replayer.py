@@ -20,7 +20,7 @@ from carla_recap.roads.find import described_folder, map_key, plain_name
 from carla_recap.sim.actors.moving import ALL_DOORS, MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.physics.physics_control import TORQUES
+from carla_recap.sim.physics import drivetrain
 from carla_recap.sim.recording.packets import possible, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_SETTLING: Final = 0.4  # s, after which engine and wheels turn evenly
+_EXACT_STEP, _LONG_STEP = 0.01, 0.05  # s of physics, of the vehicles of clients and of the autopilot
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
 """The default offset of a spectator that follows an actor: behind and above it, looking down, as in CARLA."""
 
@@ -393,7 +395,7 @@ class Replayer:
         """Let an actor move by itself again."""
         if isinstance(actor, Vehicle) and actor.parent is None:
             *velocity, yaw_rate = self._kinematic.motion(actor)
-            _drive_on(actor, Vector(*velocity), yaw_rate)
+            _drive_on(actor, Vector(*velocity), yaw_rate, autopilot=autopilot)
             if not autopilot:  # which acts at the beginning of the next tick
                 actor.apply_control(VehicleControl())
             actor.set_autopilot(autopilot)
@@ -403,10 +405,10 @@ class Replayer:
             actor.set_target_velocity(Vector())
 
 
-def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float) -> None:
+def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float, *, autopilot: bool) -> None:
     """Let physics move a vehicle on, at a yaw rate in degrees/s, with its recorded gear, pedals and steering.
 
-    The wheels roll, and the engine turns as fast as its torque and the clutch hold it.
+    Engine and wheels turn as they do after a while at that speed.
     """
     rows, row = vehicle.rows, vehicle.row
     gear, own, tables = min(rows.gear[row], vehicle.gears), rows.table[row], rows.tables
@@ -422,12 +424,16 @@ def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float) -> None:
         (rows.brake_input, rows.brake),
     ):
         reached[row] = control[row]
-    turns, most, clutch = abs(tables.ratios[own, gear] * rows.omega[row, 0]), tables.most_turns[own], tables.clutch[own]
-    if turns > most:  # as no engine does
+    if abs(tables.ratios[own, gear] * rows.omega[row, 0]) > tables.most_turns[own]:  # as no engine does
         rows.gear[row] = rows.target_gear[row] = 0
-    elif gear and clutch and turns:
-        torque = rows.throttle[row] * tables.torques[own, int(turns / most * TORQUES)] - tables.damping[own, 0] * turns
-        rows.engine[row] = min(max(turns + torque / clutch, 0.0), most)
+    elif gear:
+        rows.since_shift[row] = 0.0
+        motion = [(column, column[row].item()) for column in (rows.speed, rows.sideways, rows.turning)]
+        step = _LONG_STEP if autopilot else _EXACT_STEP
+        for _ in range(round(_SETTLING / step)):
+            drivetrain.advance(rows, np.array([row]), step, exactly=not autopilot)
+            for column, value in motion:
+                column[row] = value
     rows.engage(row)
 
 

@@ -27,17 +27,7 @@ _LEAST_GAP: Final = 0.1  # m
 class DrivenVehicles(NamedTuple):
     """The state of the driven vehicles at the beginning of a step, in the order of their drivers.
 
-    Attributes:
-        rows: Their rows in `Vehicles`.
-        x: X of the origin, in m.
-        y: Y of the origin, in m.
-        yaw: The yaw in radians.
-        cos: The cosine of the yaw.
-        sin: The sine of the yaw.
-        speed: The forward speed in m/s, at least 0.
-        half_length: Half of the length in m.
-        half_width: Half of the width in m.
-        wheelbase: The distance between the axles in m.
+    `rows` are those in `Vehicles`; angles are in radians, and speeds in m/s, at least 0.
     """
 
     rows: Integers

@@ -341,15 +341,9 @@ def _before_junction(
 
 @dataclass
 class ReservationRequest:
-    """A vehicle that asks to pass its stop line.
+    """A vehicle that asks to pass its stop line, since a time in s.
 
-    Attributes:
-        id: The id of the vehicle.
-        stop_line: The stop line.
-        since: The time at which it first asked, in s.
-        distance: The distance from its front end to the line, in m.
-        length: The length of the vehicle in m.
-        free_distance: The distance from its front end to the nearest obstacle on its path, in m.
+    The distance is that from its front end to the line, and the free one that to the nearest obstacle on its path, in m.
     """
 
     id: int

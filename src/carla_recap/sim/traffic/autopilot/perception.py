@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -38,24 +37,15 @@ _FORESIGHT: Final = 1.5  # foresight as a multiple of the gap that a driver desi
 _MARGIN: Final = 0.25  # m to each side of a vehicle
 _LEAST_MARGIN: Final = 0.05  # m, what is left of that after some time of standing
 _SQUEEZE: Final = 20.0  # s of standing until the margin has shrunk to that
+_LONG: Final = 8.0  # m²: the room, in m of width by curvature, that a vehicle needs to count as long
+_LANE: Final = 1.9  # m: half of the width of a lane
+_BESIDE: Final = 2.0  # m along a path: nearer samples of two paths are beside each other
+_SLOW: Final = 0.5  # m/s: the least speed at which a vehicle is taken to reach a bend
 _MOVING: Final = 2.0  # m/s: faster obstacles count as moving on
 
 
-@dataclass(frozen=True)
-class Obstacles:
-    """Upright boxes, as arrays with a value for each.
-
-    Attributes:
-        x: X of the centre, in m.
-        y: Y of the centre, in m.
-        heading: The heading in radians.
-        half_length: Half of the length, along the heading, in m.
-        half_width: Half of the width in m.
-        velocity_x: The velocity along x in m/s.
-        velocity_y: The velocity along y in m/s.
-        low: The z of the bottom, in m.
-        high: The z of the top, in m.
-    """
+class Obstacles(NamedTuple):
+    """Upright boxes, as arrays with a value for each: centre, heading in radians, size, velocity in m/s, range of z."""
 
     x: Floats
     y: Floats
@@ -67,24 +57,12 @@ class Obstacles:
     low: Floats
     high: Floats
 
-    def __len__(self) -> int:
-        return len(self.x)
-
     def swept(self, seconds: Floats) -> Obstacles:
         """Return the boxes that contain these for some time, if they go straight on."""
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         half = (self.velocity_x * cos + self.velocity_y * sin) * seconds / 2
-        return Obstacles(
-            self.x + half * cos,
-            self.y + half * sin,
-            self.heading,
-            self.half_length + np.abs(half),
-            self.half_width,
-            self.velocity_x,
-            self.velocity_y,
-            self.low,
-            self.high,
-        )
+        x, y, half_length = self.x + half * cos, self.y + half * sin, self.half_length + np.abs(half)
+        return self._replace(x=x, y=y, half_length=half_length)
 
 
 class ObstacleTracker:
@@ -105,9 +83,10 @@ class ObstacleTracker:
         if elapsed >= self._props_due or len(episode.actors) != self._actors:
             self._props_due, self._actors = elapsed + _PROPS_INTERVAL, len(episode.actors)
             self._props = _props([actor for actor in episode.actors.values() if isinstance(actor, Prop) and actor.body])
-        seconds = np.where(driven, 0.0, _VEHICLES_AHEAD)
-        parts = _vehicles(episode.vehicles).swept(seconds), _walkers(episode.walkers), self._props
-        return Obstacles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Obstacles)))
+        vehicles = _vehicles(episode.vehicles)
+        if not driven.all():
+            vehicles = vehicles.swept(np.where(driven, 0.0, _VEHICLES_AHEAD))
+        return Obstacles(*map(np.concatenate, zip(vehicles, _walkers(episode.walkers), self._props, strict=True)))
 
 
 def _vehicles(vehicles: Vehicles) -> Obstacles:
@@ -145,7 +124,7 @@ def _props(props: list[Prop]) -> Obstacles:
         centre = transform.transform(box.location)
         yaw, extent = np.radians(transform.rotation.yaw), box.extent
         rows.append((centre.x, centre.y, yaw, extent.x, extent.y, 0.0, 0.0, *prop.heights()))
-    return Obstacles(*np.array(rows, np.float64).reshape(-1, len(fields(Obstacles))).T)
+    return Obstacles(*np.array(rows, np.float64).reshape(-1, len(Obstacles._fields)).T)
 
 
 class Perception(NamedTuple):
@@ -177,7 +156,9 @@ def perceive(state: AutopilotState, obstacles: Obstacles) -> Perception:
     )
     margin = np.maximum(_MARGIN - (_MARGIN - _LEAST_MARGIN) * drivers.standing_time / _SQUEEZE, _LEAST_MARGIN)
     hits = _find_hits(paths, cars.rows, obstacles, cars.half_width + margin)
-    driver = np.full(len(obstacles), NONE)
+    both: Any = map(np.concatenate, zip(hits, _find_meetings(state, paths, index), strict=True))
+    hits = _Hits(*both)
+    driver = np.full(len(obstacles.x), NONE)
     driver[cars.rows] = np.arange(len(cars.rows))
     return _summarize(cars, drivers, hits, driver)
 
@@ -199,15 +180,7 @@ def _summarize(cars: DrivenVehicles, drivers: Drivers, hits: _Hits, driver: Inte
 
 
 class _Paths(NamedTuple):
-    """Samples of the paths ahead of vehicles, as arrays of (vehicles, samples).
-
-    Attributes:
-        distance: The distance from the origin of the vehicle along the path, in m.
-        x: X in m.
-        y: Y in m.
-        heading: The heading of the path in radians.
-        z: The z of the road in m.
-    """
+    """Samples of the paths ahead of vehicles, (vehicles, samples): distances from their origins, places and headings."""
 
     distance: Floats
     x: Floats
@@ -217,13 +190,10 @@ class _Paths(NamedTuple):
 
 
 class _Hits(NamedTuple):
-    """Obstacles on the paths of vehicles, as arrays with a value for each pair, ordered by vehicle.
+    """Obstacles, by index, on the paths of vehicles, by the rows of their drivers, as arrays with a value for each pair.
 
-    Attributes:
-        vehicle: The row of the vehicle's driver.
-        obstacle: The index of the obstacle.
-        gap: The distance from the front end to the obstacle along the path, in m; negative if they overlap.
-        speed: The speed of the obstacle along the path, in m/s.
+    The gap is the distance from the front end to the obstacle along the path, in m; negative if they overlap. The speed is
+    that of the obstacle along the path, in m/s.
     """
 
     vehicle: Integers
@@ -258,6 +228,37 @@ def _find_hits(paths: _Paths, own: Integers, obstacles: Obstacles, room: Floats)
     road = paths.z[vehicle, sample]
     kept &= (obstacles.low[obstacle] < road + _HEADROOM) & (obstacles.high[obstacle] > road + _CLEARANCE)
     return _Hits(vehicle[kept], obstacle[kept], gap[kept], speed[kept])
+
+
+def _find_meetings(state: AutopilotState, paths: _Paths, index: Integers) -> _Hits:
+    """Find where long vehicles have to wait before a bend, by the paths of all and the lane points there.
+
+    Two of them that meet there need more room than their lanes have. The one that would be there later waits for the other.
+    """
+    cars, drivers = state.cars, state.drivers
+    sweep = (cars.wheelbase / 2 + cars.half_length) ** 2 / 4  # room to each side by curvature; see `controls.set_steering`
+    long = (sweep > _LONG).nonzero()[0]
+    room = cars.half_width[long, None] + np.abs(state.network.curvature(index[long])) * sweep[long, None]
+    barred = np.where(drivers.has_reservation[long], np.inf, drivers.stop_line[long] - state.routes.position[long])
+    room[paths.distance[long] > barred[:, None]] = 0.0
+    bent = room.max(axis=1) > _LANE
+    one, other = np.triu(bent & bent[:, None], 1).nonzero()
+    if not len(one):
+        return _Hits(*np.empty((4, 0), np.int64))
+    paths = _Paths(*(values[long] for values in paths))
+    _, x, y, turn, z = (values[other, None] - values[one, :, None] for values in paths)
+    cos, sin = np.cos(paths.heading[one])[:, :, None], np.sin(paths.heading[one])[:, :, None]
+    own, theirs = room[one, :, None], room[other, None]
+    tight = (np.abs(y * cos - x * sin) < own + theirs) & (np.abs(x * cos + y * sin) < _BESIDE)
+    tight &= (np.cos(turn) < 0) & (np.abs(z) < _HEADROOM) & (own > _LANE) & (theirs > 0)
+    found = tight.any(axis=(1, 2))
+    one, other, tight = one[found], other[found], tight[found]
+    begin = paths.distance[one, tight.any(axis=2).argmax(axis=1)], paths.distance[other, tight.any(axis=1).argmax(axis=1)]
+    rows, pair = long[np.array((one, other))], np.arange(len(one))
+    gap = np.array(begin) - cars.half_length[rows]
+    late = (gap / np.maximum(cars.speed[rows], _SLOW)).argmax(axis=0)
+    waits, goes = rows[late, pair], rows[1 - late, pair]
+    return _Hits(waits, cars.rows[goes], gap[late, pair] - cars.half_length[goes], np.zeros(len(pair)))
 
 
 def _near(paths: _Paths, obstacles: Obstacles, room: Floats) -> tuple[Integers, Integers]:

@@ -101,9 +101,9 @@ class LaneNetwork:
         height: Floats = self._index.points[index, 2]
         return height
 
-    def curvature(self, points: Points) -> Floats:
-        """Return the curvature at points in 1/m, positive to the right."""
-        curvature: Floats = self._curvature[points[0]]
+    def curvature(self, index: Integers) -> Floats:
+        """Return the curvature at lane points by their indices in 1/m, positive to the right."""
+        curvature: Floats = self._curvature[index]
         return curvature
 
     def limit(self, lane: Integers, s: Floats) -> Floats:
@@ -219,14 +219,13 @@ class Routes:
     def locate(self, ahead: Floats) -> tuple[Integers, Floats]:
         """Return the lanes at distances ahead of vehicles, (vehicles, any), and the distances along them."""
         target = self.position[:, None] + ahead
-        rows = np.arange(len(self.position))[:, None]
-        number = np.zeros(target.shape, np.int64)
+        index = np.zeros(target.shape, np.int64) + np.arange(0, self.lanes.size, _MAX_LANES)[:, None]
         for start in range(1, self.known):
             begun = target >= self.starts[:, start, None]
             if not begun.any():
                 break
-            number += begun
-        return self.lanes[rows, number], target - self.starts[rows, number]
+            index += begun
+        return self.lanes.take(index), target - self.starts.take(index)
 
     def _count(self) -> None:
         self.known = max(int(np.isfinite(self.starts).any(axis=0).sum()), 1)
@@ -345,7 +344,7 @@ def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision:
 def _is_straight(routes: Routes, network: LaneNetwork) -> Booleans:
     """Return for each route whether it is straight for some distance ahead."""
     ahead = np.broadcast_to(_PREVIEW, (len(routes), len(_PREVIEW)))
-    curvature = np.abs(network.curvature(network.points(*routes.locate(ahead)))).max(axis=1)
+    curvature = np.abs(network.curvature(network.points(*routes.locate(ahead))[0])).max(axis=1)
     straight: Booleans = curvature < _STRAIGHT
     return straight
 
