@@ -175,7 +175,7 @@ def test_the_extremes_of_values_over_time_are_those_of_the_recording(sample: str
         "driving_efficiency",
     }
     for row in rows:
-        values = search.values[row.measure, row.actor]
+        (values,) = (found for (name, id, _), found in search.values.items() if (name, id) == (row.measure, row.actor))
         assert (np.diff(values.time) >= 0).all()
         worst = np.nanmin(values.value) if MEASURES[row.measure].extreme == "least" else np.nanmax(values.value)
         assert worst == pytest.approx(row.value), row.measure
@@ -219,8 +219,8 @@ def measured(path: Path, ids: list[int], subject: int, with_: str = "any") -> st
     with open_recording(path) as recording:
         search = MeasureSearch(recording.reader, ids, over_time=dict.fromkeys(PAIRED, ids), others=Selector(with_).matches)
         rows = [(row.measure, row.value, row.time) for row in search.find() if row.actor == subject]
-    values = [search.values[name, subject] for name in PAIRED]
-    return str([row for row in rows if row[0] in PAIRED] + [(each.time.tolist(), each.value.tolist()) for each in values])
+    values = {key[0]: (each.time.tolist(), each.value.tolist()) for key, each in search.values.items() if key[1] == subject}
+    return str([row for row in rows if row[0] in PAIRED] + [values.get(name) for name in PAIRED])
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -305,6 +305,29 @@ def test_a_rule_with_nothing_to_judge_says_so(judge: Judge, rule: str, applies: 
 def test_what_is_tolerated_is_in_the_description(condition: str) -> None:
     (rule,) = parse_rules(f'[rules.it]\n{condition}, tolerate = "1 min" }}', "rules.toml")
     assert rule.description.endswith(", except for up to 1 min at a time")
+
+
+def test_a_crossing_counts_though_the_first_one_is_gone_by_then(tmp_path: Path) -> None:
+    """The hero passes the origin at 2.5 s, and is destroyed at 3.2 s; another car passes there at 4 s."""
+    with create_recording(tmp_path / "gone.mcap", map_name="Nowhere") as recorder:
+        for frame in range(120):
+            time = frame * 0.05
+            places = {8: (0.0, 10 * (time - 4.0))} | ({7: (10 * (time - 2.5), 0.0)} if frame < 64 else {})
+            recorder.add_frame(
+                time,
+                spawned=[] if frame else [Spawn(7, 1, type_id=CAR, attributes=HERO_ROLE), Spawn(8, 1, type_id=CAR)],
+                destroyed=[7] if frame == 64 else [],
+                transforms={
+                    "id": [*places],
+                    "x": [100 * x for x, _ in places.values()],
+                    "y": [-100 * y for _, y in places.values()],
+                    "yaw": [-90.0 if id == 8 else 0.0 for id in places],
+                },
+            )
+    condition = '{ of = "hero", min = "2 s", during = ["0 s", "9 s"] }'
+    with open_recording(tmp_path / "gone.mcap") as recording:
+        (verdict,) = check(recording, parse_rules(f"[rules.it]\npet = {condition}", "rules.toml"))
+    assert (verdict.status, verdict.actors) == ("fail", (7, 8)), verdict.message
 
 
 def test_values_of_another_actor_with_the_id_do_not_count(tmp_path: Path) -> None:

@@ -452,3 +452,10 @@ def test_without_vehicles_there_are_no_trajectories_of_vehicles(tmp_path: Path) 
         recorder.add_frame(0.0)
     with open_recording(tmp_path / "empty.log") as recording:
         assert len(recording.trajectories("vehicle")) == 0
+
+
+def test_rows_that_are_later_than_all_before() -> None:
+    time = np.array([0.0, 0.5, 0.2, 0.5, np.nan, 0.7])
+    every = dict.fromkeys(("time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz"), time)
+    found = Trajectory(1, **every, velocity_recorded=np.zeros(6, np.bool_)).ascending()
+    assert found.time.tolist() == [0.0, 0.5, 0.7]

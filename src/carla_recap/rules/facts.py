@@ -201,12 +201,11 @@ class Facts:
 
     def values(self, measure: str, life: ActorLife, other: Selector) -> MeasureValues:
         """Return the values over time of a measure of an actor, in relation to others."""
-        found = self._measured(other)[1].get((measure, life.id), MeasureValues.joined([]))
-        return found.only((found.time >= life.spawned_at) & (found.time < life.end))
+        return self._measured(other)[1].get((measure, *life.key), MeasureValues.joined([]))
 
     @_once
-    def _measured(self, other: Selector) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
-        """Return the extreme values, and those over time by measure and actor, of conditions with the same others."""
+    def _measured(self, other: Selector) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int, float], MeasureValues]]:
+        """Return the extreme values, and those over time by measure and key, of conditions with the same others."""
         movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
         over_time: dict[str, set[int]] = {}
         for measure, of, to in (each for needs in self._needs for each in needs.values):
@@ -265,10 +264,7 @@ class Facts:
     @_once
     def positions(self, life: ActorLife) -> Positions:
         """Return the positions of an actor."""
-        trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).of_life(life)
-        if len(trajectory):
-            latest = np.maximum.accumulate(trajectory.time)
-            trajectory = trajectory.at(np.append(True, trajectory.time[1:] > latest[:-1]))
+        trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).of_life(life).ascending()
         points = np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)
         if len(points) < 2:
             return Positions(trajectory.time, points, np.zeros(len(points)))

@@ -105,6 +105,11 @@ class Trajectory(Columns):
         """Return the part of one of the actors that had the id, without positions that are not finite."""
         return self.at(self.time < life.end).during(life.spawned_at, life.end)
 
+    def ascending(self) -> Trajectory:
+        """Return the rows that are later than all before."""
+        latest = np.fmax.accumulate(np.append(-math.inf, self.time))
+        return self.at(self.time > latest[:-1])
+
     def at(self, rows: NDArray[np.bool_] | slice) -> Trajectory:
         """Return some of the rows, such as those that are flagged, (n,)."""
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)[1:]})

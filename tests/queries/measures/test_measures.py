@@ -67,7 +67,7 @@ def test_times_to_collision_over_time_are_those_of_all_frames(drive: Drive, monk
     hero = Mover(1, lambda t: 10 * min(t, 4.5) + 2 * max(t - 6, 0), role_name="hero")
     search = MeasureSearch(drive([hero, Mover(2, lambda _: 60.0)], seconds=9), "all", over_time={"time_to_collision": [1]})
     search.find()
-    found = search.values["time_to_collision", 1]
+    found = search.values["time_to_collision", 1, 0.0]
     late = found.value[found.time > 6.01]
     assert late == pytest.approx((11 - 2 * (found.time[found.time > 6.01] - 6)) / 2, abs=0.01)
     assert len(late) == 60

@@ -70,7 +70,11 @@ class Drive:
 
     @classmethod
     def of(cls, actor: ActorLife, path: Trajectory) -> Drive:
-        """Return the motion of an actor, without frames in which its pose is no number, or is too far away."""
+        """Return the motion of an actor, without frames in which its pose is no number, or is too far away.
+
+        Of a clock that goes back, the frames count that are later than all before.
+        """
+        path = path.ascending()
         place = np.stack((path.x, path.y, path.z), axis=1)
         kept = (np.abs(place) < FAR).all(axis=1) & np.isfinite(path.yaw)
         path = path.at(kept)

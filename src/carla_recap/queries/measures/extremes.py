@@ -72,7 +72,7 @@ class MeasureSearch:
     """Computes the measures of a recording; see `measures`.
 
     Attributes:
-        values: The values over time after `find`, by measure and actor, of those that `over_time` has by measure.
+        values: The values over time after `find`, by measure and key of the actor, of the ids that `over_time` has.
     """
 
     def __init__(
@@ -99,8 +99,8 @@ class MeasureSearch:
         self._traffic = [life for life in lives if life.role_name == BACKGROUND]
         self._drivers = {life.id for life in (*self._heroes, *self._traffic)} if self._heroes else set()
         self._driven = RowCollector(MOTION, self._drivers)
-        self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
-        self.values: dict[tuple[str, int], MeasureValues] = {}
+        self._parts: dict[tuple[str, int, float], list[MeasureValues]] = defaultdict(list)
+        self.values: dict[tuple[str, int, float], MeasureValues] = {}
         self._rows: dict[tuple[str, int, float], MeasureRow] = {}
 
     def find(self) -> Measures:
@@ -122,12 +122,11 @@ class MeasureSearch:
             for subject, met in ((each.other, each.one), (each.one, each.other)):
                 if self._others is None or self._others(met):
                     values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met.id], np.int64)
-                    self._note(subject, "post_encroachment_time", MeasureValues(*values))
+                    self._note(subject, "post_encroachment_time", MeasureValues(*values), met)
         self._note_driving()
         if self._roads is not None:
             self._roads.finish()
-        for name, ids in self._over_time.items():
-            self.values.update({(name, id): MeasureValues.joined(self._parts[name, id]) for id in ids})
+        self.values = {key: MeasureValues.joined(parts) for key, parts in self._parts.items()}
         rows = (self._rows.get((name, *key)) for key in self._subjects for name in MEASURES)
         return Measures(filter(None, rows), self._source, compat=False)
 
@@ -175,11 +174,14 @@ class MeasureSearch:
                     if value is not None:
                         self._note(hero, name, MeasureValues.of(drive.time[-1:], np.array([value])))
 
-    def _note(self, actor: ActorLife, name: str, found: MeasureValues) -> None:
-        """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for."""
+    def _note(self, actor: ActorLife, name: str, found: MeasureValues, met: ActorLife | None = None) -> None:
+        """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for.
+
+        They are in relation to an actor that is met, if it is not the one that has the id then.
+        """
         measure, finite = MEASURES[name], np.isfinite(found.value)
         if actor.id in self._over_time.get(name, ()):
-            self._parts[name, actor.id].append(found._replace(value=np.where(finite, found.value, np.nan)))
+            self._parts[name, *actor.key].append(found._replace(value=np.where(finite, found.value, np.nan)))
         found = found.only(finite)
         if not len(found.value) or actor.key not in self._subjects:
             return
@@ -188,6 +190,6 @@ class MeasureSearch:
         known = self._rows.get((name, *actor.key))
         is_new = value > 0 or not measure.needs_roads if known is None else measure.key(value) < measure.key(known.value)
         if is_new:
-            met = None if other == NO_OTHER else self._lives.at(other, time)
+            met = met or (None if other == NO_OTHER else self._lives.at(other, time))
             sides = (actor.id, actor.type_id, actor.is_hero, met.id if met else None, met.type_id if met else "")
             self._rows[name, *actor.key] = MeasureRow(name, *sides, value, measure.unit, time)
