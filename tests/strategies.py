@@ -27,9 +27,7 @@ texts = st.one_of(
     st.sampled_from([b"", b"\0", b"role_name", b"\xff\xfe", b"\xed\xa0\x80"]),
 )
 real64 = st.one_of(
-    st.floats(0, 20),
-    st.floats(),
-    st.binary(min_size=8, max_size=8).map(lambda data: struct.unpack("<d", data)[0]),
+    st.floats(0, 20), st.floats(), st.binary(min_size=8, max_size=8).map(lambda data: struct.unpack("<d", data)[0])
 )
 
 
@@ -72,15 +70,7 @@ def physics_packets() -> SearchStrategy[list[bytes]]:
 
     def of(wheel: int) -> SearchStrategy[bytes]:
         curve = counted("<I", sized(8), 2)
-        return joined(
-            sized(24),
-            flags,
-            sized(28),
-            curve,
-            counted("<I", sized(12), 2),
-            curve,
-            counted("<I", sized(wheel), 4),
-        )
+        return joined(sized(24), flags, sized(28), curve, counted("<I", sized(12), 2), curve, counted("<I", sized(wheel), 4))
 
     return st.one_of(st.lists(of(48), max_size=2), st.lists(of(36), max_size=2))
 
@@ -102,11 +92,7 @@ def payloads(type: RecordType, table: Table, extra: SearchStrategy[bytes] = surp
     elif type.name == "physics":
         body = physics_packets().map(lambda records: listed(*records))
     else:
-        record = {
-            "spawned": spawn_records(table),
-            "walker_bones": bone_records(table),
-            "wheels": wheel_records(),
-        }[type.name]
+        record = {"spawned": spawn_records(table), "walker_bones": bone_records(table), "wheels": wheel_records()}[type.name]
         body = st.lists(record, max_size=3).map(lambda records: listed(*records))
     return joined(body, extra)
 

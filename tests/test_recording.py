@@ -9,15 +9,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from carla_recap import (
-    ActorKind,
-    Attribute,
-    RecapError,
-    Spawn,
-    attributes,
-    create_recording,
-    open_recording,
-)
+from carla_recap import ActorKind, Attribute, RecapError, Spawn, attributes, create_recording, open_recording
 from tests.samples import DATE, carla_log, image, log_header, save
 
 HERO, CAMERA, WALKER, LIGHT, PROP = 100, 101, 200, 300, 400
@@ -45,19 +37,8 @@ def record(path):
                     "pitch": 4.0,
                     "yaw": 5.0,
                 },
-                "vehicle_controls": {
-                    "id": HERO,
-                    "steer": n / 20,
-                    "throttle": 1.0,
-                    "hand_brake": n % 2,
-                    "gear": -1,
-                },
-                "light_states": {
-                    "id": LIGHT,
-                    "state": 2 if n >= 10 else 0,
-                    "elapsed": n * STEP,
-                    "frozen": n == 4,
-                },
+                "vehicle_controls": {"id": HERO, "steer": n / 20, "throttle": 1.0, "hand_brake": n % 2, "gear": -1},
+                "light_states": {"id": LIGHT, "state": 2 if n >= 10 else 0, "elapsed": n * STEP, "frozen": n == 4},
             }
             if n < 10:
                 records["velocities"] = {"id": HERO, "x": 11.0, "y": 12.0, "z": 13.0}

@@ -41,10 +41,7 @@ def time_limit() -> Iterator[None]:
     def give_up(*_: object) -> None:
         raise TimeoutError(f"not done after {PATIENCE:g} s, or {PROCESSOR_TIME:g} s of processor time")
 
-    limits = (
-        (signal.SIGALRM, signal.ITIMER_REAL, PATIENCE),
-        (signal.SIGPROF, signal.ITIMER_PROF, PROCESSOR_TIME),
-    )
+    limits = ((signal.SIGALRM, signal.ITIMER_REAL, PATIENCE), (signal.SIGPROF, signal.ITIMER_PROF, PROCESSOR_TIME))
     before = [signal.signal(number, give_up) for number, _, _ in limits]
     try:
         for _, timer, seconds in limits:

@@ -23,17 +23,7 @@ from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
 from carla_recap.queries.recorded_actors import actors
-from tests.cli.command import (
-    COMMAND,
-    CROSSING,
-    ENVIRONMENT,
-    answer,
-    error,
-    on_terminal,
-    run,
-    the_line,
-    wrote,
-)
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line, wrote
 from tests.samples import images, names_in, reading, save
 from tests.waiting import PATIENCE, time_limit
 

@@ -102,10 +102,7 @@ def test_an_offence_links_to_its_moment_in_the_page():
     assert 'href="pages/b%20%23.html#t=9.10&amp;follow=41"' in page
 
 
-@pytest.mark.parametrize(
-    ("names", "title"),
-    [(["a"], "1 recording, passed"), (["a", "b"], "2 recordings, all passed")],
-)
+@pytest.mark.parametrize(("names", "title"), [(["a"], "1 recording, passed"), (["a", "b"], "2 recordings, all passed")])
 def test_without_failures_the_title_says_so(names, title):
     assert f"<h1>{title}</h1>" in overview([checked(name) for name in names], RULES)
 

@@ -11,14 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from carla_recap import (
-    FormatError,
-    NotARecording,
-    RecapError,
-    RecapWarning,
-    convert,
-    open_recording,
-)
+from carla_recap import FormatError, NotARecording, RecapError, RecapWarning, convert, open_recording
 from carla_recap.formats import create_writer, open_reader
 from carla_recap.formats.carla_log import LogReader
 from carla_recap.model.frame import Frame, Header
@@ -279,10 +272,7 @@ def test_a_spawn_that_ends_within_a_text_is_an_error_with_its_offset(tmp_path):
     before = log_header() + start(1, 0.0)
     torn = listed(struct.pack("<IB6fI", 7, 1, 0, 0, 0, 0, 0, 0, 1) + b"\xff\0vehicle")
     path = save(tmp_path / "torn.log", before + packet(2, torn) + END)
-    with (
-        open_recording(path) as recording,
-        pytest.raises(FormatError, match="spawned: type_id need") as caught,
-    ):
+    with open_recording(path) as recording, pytest.raises(FormatError, match="spawned: type_id need") as caught:
         _ = recording.actors
     assert len(before) < caught.value.offset <= len(before) + 5 + 2 + 33 + 2 + 255
 

@@ -86,14 +86,7 @@ def test_types_are_found_by_name(table):
 
 def test_only_types_with_lengths_have_a_twin_in_double_precision():
     twins = {type.name for type in UE5 if type.message_name.endswith("Double")}
-    assert twins == {
-        "spawned",
-        "transforms",
-        "velocities",
-        "bounding_boxes",
-        "trigger_volumes",
-        "walker_bones",
-    }
+    assert twins == {"spawned", "transforms", "velocities", "bounding_boxes", "trigger_volumes", "walker_bones"}
     assert not any(type.message_name.endswith("Double") for type in UE4)
 
 
@@ -155,10 +148,7 @@ def test_one_record_is_a_record():
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
-        (
-            {"id": 1, "wings": 2},
-            "transforms: there is no field 'wings'; the fields are id, x, y, z, roll, pitch, yaw",
-        ),
+        ({"id": 1, "wings": 2}, "transforms: there is no field 'wings'; the fields are id, x, y, z, roll, pitch, yaw"),
         ({"id": -1}, "transforms: .*the fields are id"),
         ({"id": 1 << 32}, "transforms: .*the fields are id"),
         ({"id": "a"}, "transforms: .*the fields are id"),

@@ -21,8 +21,7 @@ def column(heading: str, rank: int = 0, **given) -> TableColumn:
 
 
 @pytest.mark.parametrize(
-    ("width", "text"),
-    [(9, "abcdefghi"), (8, "abc…fghi"), (7, "ab…fghi"), (4, "a…hi"), (2, "a…"), (1, "…"), (0, "…")],
+    ("width", "text"), [(9, "abcdefghi"), (8, "abc…fghi"), (7, "ab…fghi"), (4, "a…hi"), (2, "a…"), (1, "…"), (0, "…")]
 )
 def test_the_middle_of_a_long_text_is_left_out(width: int, text: str) -> None:
     assert shortened("abcdefghi", width) == text

@@ -125,13 +125,7 @@ def test_ties(make: Make) -> None:
         {},
     )
     right = [(row.start, row.duration, row.id) for row in blocked(reader, 0.5)]
-    assert right == [
-        (0.5, 0.5, 5),
-        (1.5, 0.5, 1),
-        (1.5, 0.5, 4),
-        (1.5, 0.5, 5),
-        (1.5, 0.5, 9),
-    ]
+    assert right == [(0.5, 0.5, 5), (1.5, 0.5, 1), (1.5, 0.5, 4), (1.5, 0.5, 5), (1.5, 0.5, 9)]
     carla = [(row.start, row.id) for row in blocked(reader, 0.5, compat=True)]
     assert carla == [(0.0, 5), (1.0, 4), (0.0, 9), (0.0, 1), (1.5, 9), (1.5, 1), (1.5, 5)]
 
@@ -163,12 +157,7 @@ def test_without_a_spawn_carla_forgets_actor_0(make: Make) -> None:
 
 def test_a_repeated_record_behind_packets_without_one(make: Make) -> None:
     """Intervals of the same length that end in different frames come in the order of the frames."""
-    reader = make(
-        at((1, 100), (2, 0)),
-        at((1, 100), (2, 100)),
-        at((1, 200), (2, 200), (1, 300)),
-        {},
-    )
+    reader = make(at((1, 100), (2, 0)), at((1, 100), (2, 100)), at((1, 200), (2, 200), (1, 300)), {})
     rows = blocked(reader, 0.5, compat=True)
     assert [(row.id, row.start) for row in rows] == [(2, 0.0), (1, 0.5)]
 

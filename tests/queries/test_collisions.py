@@ -115,16 +115,7 @@ def test_what_is_no_actor_is_other(make: Make) -> None:
 
 @pytest.mark.parametrize(
     ("sides", "found"),
-    [
-        ("aa", [1, 2, 3]),
-        ("vw", [1]),
-        ("hw", [1]),
-        ("wh", []),
-        ("ao", [3]),
-        ("wv", [2]),
-        ("ha", [1]),
-        ("th", []),
-    ],
+    [("aa", [1, 2, 3]), ("vw", [1]), ("hw", [1]), ("wh", []), ("ao", [3]), ("wv", [2]), ("ha", [1]), ("th", [])],
 )
 def test_filters(make: Make, sides: str, found: list[int]) -> None:
     hits = [(1, 1, 2, 1, 0), (2, 2, 1, 0, 0), (3, 1, 4, 0, 0)]

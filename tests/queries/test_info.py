@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 HEAD = "Version: 1\nMap: Town01\nDate: 09/13/20 12:26:40\n\n"
 HERO = Spawn(7, 1, 1.5, -2, 3, 0, 0, 90, 26, "vehicle.audi.tt", [Attribute(3, "role_name", "hero")])
-EVENTS: dict[str, Any] = {
-    "spawned": [HERO],
-    "destroyed": [(8,)],
-    "parented": [(9, 7)],
-    "collisions": [(4, 7, 8, 1, 0)],
-}
+EVENTS: dict[str, Any] = {"spawned": [HERO], "destroyed": [(8,)], "parented": [(9, 7)], "collisions": [(4, 7, 8, 1, 0)]}
 
 
 def printed(reader: Reader, **options: bool) -> str:
@@ -142,12 +137,7 @@ def test_double_precision(make: Make) -> None:
 
 @pytest.mark.parametrize(
     ("date", "shown"),
-    [
-        (0, "01/01/70 00:00:00"),
-        (-1, "12/31/69 23:59:59"),
-        (2**63 - 1, "9223372036854775807"),
-        (-(2**63),) * 2,
-    ],
+    [(0, "01/01/70 00:00:00"), (-1, "12/31/69 23:59:59"), (2**63 - 1, "9223372036854775807"), (-(2**63),) * 2],
 )
 def test_dates(make: Make, date: int, shown: str) -> None:
     assert f"\nDate: {shown}\n" in printed(make({}, header=Header("Town01", date)))

@@ -183,11 +183,7 @@ LIVE: dict[str, tuple[int | str, list[dict[str, Any]], list[int | None]]] = {
         ],
         [None, 3, 3, 3, 4, 4],
     ),
-    "a hero that is a vehicle": (
-        "hero",
-        [drive(0, 0, spawned=[SENSOR, spawn(2, role_name="hero")]), drive(0, 0)],
-        [2, 2],
-    ),
+    "a hero that is a vehicle": ("hero", [drive(0, 0, spawned=[SENSOR, spawn(2, role_name="hero")]), drive(0, 0)], [2, 2]),
     "another one when it disappears": (
         "hero",
         [

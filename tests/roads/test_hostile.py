@@ -134,10 +134,7 @@ REFUSED: dict[str, tuple[str, Callable[[], str]]] = {
             )
         ),
     ),
-    "many empty elements": (
-        "at most 4,000,000 elements, and it has more",
-        lambda: opendrive(road(), "<a/>" * 4_000_000),
-    ),
+    "many empty elements": ("at most 4,000,000 elements, and it has more", lambda: opendrive(road(), "<a/>" * 4_000_000)),
     "deep elements": (
         "at most 200,000 elements in a road or junction, and one has more",
         lambda: opendrive(road(), "<a>" * 200_001 + "</a>" * 200_001),

@@ -126,12 +126,7 @@ def verdict(sample: str, rule: str):
             "0 actors (the actor of the role ego) instead of at least 1",
         ),
         ("junction.mcap", 'map = "brickfield_Opt"', "pass", "the map is Brickfield"),
-        (
-            "junction.mcap",
-            'map = ["Town01", "Town02"]',
-            "fail",
-            "the map is Brickfield instead of Town01 or Town02",
-        ),
+        ("junction.mcap", 'map = ["Town01", "Town02"]', "fail", "the map is Brickfield instead of Town01 or Town02"),
     ],
 )
 def test_a_condition(sample, rule, status, message):
@@ -213,10 +208,7 @@ def test_a_recording_is_compared_with_its_baseline(tmp_path):
         with open_recording(SAMPLES / f"{name}.mcap") as recording:
             (verdicts[name],) = check(recording, rules)
     base = tmp_path / "base"
-    assert (verdicts["crash"].status, verdicts["crash"].message) == (
-        "pass",
-        f"equal to {base / 'crash.mcap'} within 10 cm",
-    )
+    assert (verdicts["crash"].status, verdicts["crash"].message) == ("pass", f"equal to {base / 'crash.mcap'} within 10 cm")
     assert (verdicts["blocked"].status, verdicts["blocked"].time) == ("fail", 0.0)
     assert verdicts["blocked"].message.startswith(f"differs from {base / 'blocked.mcap'}: ")
     assert (verdicts["junction"].status, verdicts["junction"].message) == (
@@ -316,10 +308,7 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
         ("[rules]\na = 1", "rule 'a': expected a table, as [rules.NAME], found 1"),
         ("[rules.a]", "rule 'a': expected one of the conditions collisions, "),
         ("[rules.a]\ncolisions = { max = 0 }", "rule 'a': unknown condition 'colisions'; did you mean collisions?"),
-        (
-            "[rules.a]\nframes = { min = 1 }\nmap = 'x'",
-            "rule 'a': expected one condition, found frames and map",
-        ),
+        ("[rules.a]\nframes = { min = 1 }\nmap = 'x'", "rule 'a': expected one condition, found frames and map"),
         ("[rules.a]\ndescription = 1\nmap = 'x'", "rule 'a': description: expected a text, found 1"),
         (
             "[rules.a]\ncollisions = 0",

@@ -55,10 +55,7 @@ def test_interleaved_and_normalized_values_are_read():
 def test_nodes_are_moved_turned_and_scaled_with_those_above_them():
     document, binary = square(normals=True)
     turned = [0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]  # forward becomes left
-    document["nodes"] = [
-        {"translation": [10, 0, 0], "rotation": turned, "children": [1]},
-        {"scale": [1, 1, 2], "mesh": 0},
-    ]
+    document["nodes"] = [{"translation": [10, 0, 0], "rotation": turned, "children": [1]}, {"scale": [1, 1, 2], "mesh": 0}]
     (part,) = read_glb(glb(document, binary))
     assert part.positions.min(axis=0) == pytest.approx((10, 0, -2))
     assert part.positions.max(axis=0) == pytest.approx((18, 0, 0))

@@ -113,10 +113,7 @@ def test_an_exception_in_a_call_is_an_error_for_the_client_and_a_line_in_the_log
     failed, fine = (
         replies(request(1, name), request(2, "double", 4))
         if name != "fails_late"
-        else (
-            *replies(request(1, name)),
-            *replies(request(2, "double", 4)),
-        )
+        else (*replies(request(1, name)), *replies(request(2, "double", 4)))
     )
     assert failed == [1, 1, None, [[0, [f"{name}: {error}"]]]]
     assert fine == [1, 2, None, [[1, 8]]]

@@ -278,10 +278,7 @@ async def test_while_nothing_can_be_drawn_no_size_is_given_up_and_the_log_has_a_
         await served.tick()
         await served.settle()
     assert [payload[12] for _, payload in images.take()] == [128] * 8 + [1]
-    assert caplog.messages == [
-        "an image of 32 x 16 pixels cannot be drawn: not started again yet",
-        "images are drawn again",
-    ]
+    assert caplog.messages == ["an image of 32 x 16 pixels cannot be drawn: not started again yet", "images are drawn again"]
 
 
 async def test_in_a_new_town_sizes_are_tried_again(served: Served, painter: Painter) -> None:

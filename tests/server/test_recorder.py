@@ -465,15 +465,7 @@ def test_a_recording_of_another_map_begins_an_episode(
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        (),
-        (False,),
-        (False, OFFSET),
-        (False, OFFSET, ""),
-        (False, True, OFFSET, ""),
-        (False, False, OFFSET),
-    ],
+    "options", [(), (False,), (False, OFFSET), (False, OFFSET, ""), (False, True, OFFSET, ""), (False, False, OFFSET)]
 )
 def test_the_options_of_older_and_newer_clients_are_accepted(recordings: Path, options: tuple[object, ...]) -> None:
     inside = Inside()

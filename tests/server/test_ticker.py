@@ -15,10 +15,7 @@ from tests.sim.flat import flat_world
 
 @pytest.mark.parametrize(
     ("fails", "messages"),
-    [
-        ("listener", ["a tick goes on without function: 'lost'"]),
-        ("publish", ["a tick has failed: KeyError('lost')"] * 3),
-    ],
+    [("listener", ["a tick goes on without function: 'lost'"]), ("publish", ["a tick has failed: KeyError('lost')"] * 3)],
 )
 async def test_a_failing_tick_is_logged_and_others_follow(
     fails: str, messages: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch

@@ -374,11 +374,7 @@ def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
 
 
 def test_lamps_go_with_their_vehicle(record):
-    topics = record(
-        {"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]},
-        {"destroyed": [1]},
-        {},
-    )
+    topics = record({"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]}, {"destroyed": [1]}, {})
     assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(2)] == [True, False]
 
 

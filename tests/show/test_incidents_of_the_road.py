@@ -34,10 +34,7 @@ RUN = "vehicle.mini.cooper_s (7) runs a red light at 36 km/h (light 3)"
 def recording(tmp_path: Path) -> Iterator[Recording]:
     """A car that runs a red light after 5 s."""
     x, y = LIGHT_POSITION
-    spawned = [
-        Spawn(3, 3, 100 * x, -100 * y, type_id="traffic.traffic_light"),
-        Spawn(7, 1, type_id="vehicle.mini.cooper_s"),
-    ]
+    spawned = [Spawn(3, 3, 100 * x, -100 * y, type_id="traffic.traffic_light"), Spawn(7, 1, type_id="vehicle.mini.cooper_s")]
     path = tmp_path / "run.mcap"
     with create_recording(path, map_name="Straight", date=0) as recorder:
         for index in range(160):

@@ -119,11 +119,7 @@ def test_without_a_display_the_error_suggests_the_browser(temporary, monkeypatch
 def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("DISPLAY", ":4711")
-    with (
-        open_recording(SAMPLE) as recording,
-        time_limit(),
-        pytest.raises(RecapError, match=r"exit code 1: Failed to open"),
-    ):
+    with open_recording(SAMPLE) as recording, time_limit(), pytest.raises(RecapError, match=r"exit code 1: Failed to open"):
         view(recording, start=20, duration=1)
 
 

@@ -13,13 +13,7 @@ from carla_recap.sim.blueprints import standard_library
 if TYPE_CHECKING:
     from carla_recap.sim.blueprints import Blueprint
 
-READERS = (
-    {"true": True, "false": False}.__getitem__,
-    int,
-    float,
-    str,
-    lambda text: tuple(map(int, text.split(","))),
-)
+READERS = ({"true": True, "false": False}.__getitem__, int, float, str, lambda text: tuple(map(int, text.split(","))))
 LIBRARY = standard_library()
 with Path(__file__).with_name("attributes-0.9.16.csv").open(newline="", encoding="utf-8") as file:
     FACTS = list(csv.DictReader(file))

@@ -35,8 +35,7 @@ def test_readable(raw: bytes, shown: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "text"),
-    [([], "none"), (["a", "b", "c"], "a, b, c"), (["a", "b", "c", "d", "e"], "a, b, c, and 2 more")],
+    ("names", "text"), [([], "none"), (["a", "b", "c"], "a, b, c"), (["a", "b", "c", "d", "e"], "a, b, c, and 2 more")]
 )
 def test_the_first_of_many_names(names: list[str], text: str) -> None:
     assert first_of(names) == text

@@ -93,10 +93,7 @@ RECORDS = [
     ),
     (records.MetadataIndex(offset=1 << 40, length=7, name="a"), {"metadata": {"a": 1 << 40}}),
     (records.Statistics(1, 2, {3: 4}, 5, 6, 7, 8, 9, 10), {"messages": 6, "chunk_count": 5, "counts": {3: 4}}),
-    (
-        records.ChunkIndex(7, 8, "zstd", 9, 20, 5, {3: 40, 4: 50}, 10, 11),
-        {"chunks": [(10, 20, 8, 7, {3, 4})]},
-    ),
+    (records.ChunkIndex(7, 8, "zstd", 9, 20, 5, {3: 40, 4: 50}, 10, 11), {"chunks": [(10, 20, 8, 7, {3, 4})]}),
     (records.Attachment(1, 2, "a", "b", b"c"), {}),
 ]
 

@@ -22,14 +22,7 @@ from tests.waiting import PATIENCE
 
 NODE = Path(__file__).parents[2] / "node"
 
-LOGS = (
-    "all_packets",
-    "all_packets_dev2024",
-    "carla-0.9.10-lane-center",
-    "events",
-    "no_frames",
-    "header_only",
-)
+LOGS = ("all_packets", "all_packets_dev2024", "carla-0.9.10-lane-center", "events", "no_frames", "header_only")
 
 
 NAMES = ("small", "drive", "wide", *LOGS)

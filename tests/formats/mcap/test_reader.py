@@ -41,19 +41,7 @@ from carla_recap.queries.detectors import listed_braking
 from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, messages_in, resealed, rewrite, seal
-from tests.samples import (
-    DATE,
-    carla_log,
-    drive,
-    explore,
-    image,
-    images,
-    reading,
-    save,
-    small_log,
-    warnings_ignored,
-    write,
-)
+from tests.samples import DATE, carla_log, drive, explore, image, images, reading, save, small_log, warnings_ignored, write
 from tests.waiting import time_limit
 
 
@@ -136,10 +124,7 @@ def test_schemas_and_channels_within_chunks_are_passed_over(small_mcap):
     )
 
     def stuffed(chunk):
-        times = {
-            "message_start_time": chunk.message_start_time,
-            "message_end_time": chunk.message_end_time,
-        }
+        times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
         return seal(inside + chunk_records(chunk) + inside, **times)
 
     with_chunks(small_mcap, stuffed)
@@ -541,10 +526,7 @@ def test_frames_of_some_types_hold_these_alone(small_mcap):
 
 
 def test_an_unknown_type_is_an_error(small_mcap):
-    with (
-        reading(small_mcap) as reader,
-        pytest.raises(RecapError, match="no record type 'wings'; there are frame, "),
-    ):
+    with reading(small_mcap) as reader, pytest.raises(RecapError, match="no record type 'wings'; there are frame, "):
         list(reader.frames(("wings",)))
 
 

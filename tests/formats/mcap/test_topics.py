@@ -28,17 +28,7 @@ from carla_recap.formats.mcap.writer import (
 )
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Header
-from tests.formats.mcap.forge import (
-    MAGIC,
-    Forge,
-    data_records,
-    message,
-    messages_in,
-    packed,
-    read_records,
-    rewrite,
-    seal,
-)
+from tests.formats.mcap.forge import MAGIC, Forge, data_records, message, messages_in, packed, read_records, rewrite, seal
 from tests.samples import contents, drive, images, write
 from tests.sensed import HEADER, camera, noise, plain, sensed
 from tests.waiting import time_limit

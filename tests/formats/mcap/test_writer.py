@@ -200,8 +200,7 @@ def test_every_message_of_a_frame_has_its_time(small_mcap):
 
 
 @pytest.mark.parametrize(
-    ("elapsed", "published"),
-    [(3.0, 3.0), (7.0, 7.0), (-2.0, -2.0), (math.nan, None), (math.inf, None), (1e300, None)],
+    ("elapsed", "published"), [(3.0, 3.0), (7.0, 7.0), (-2.0, -2.0), (math.nan, None), (math.inf, None), (1e300, None)]
 )
 def test_log_times_grow_where_a_clock_does_not(tmp_path, elapsed, published):
     frames = [Frame(n, n, time, 0.0, []) for n, time in enumerate((0.0, 7.0, elapsed, elapsed, 1.0))]

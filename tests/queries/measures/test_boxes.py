@@ -8,14 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.queries.measures.boxes import (
-    Boxes,
-    gap,
-    overlaps,
-    required_deceleration,
-    time_headway,
-    time_to_collision,
-)
+from carla_recap.queries.measures.boxes import Boxes, gap, overlaps, required_deceleration, time_headway, time_to_collision
 
 SQUARE_ROOT_HALF = math.sqrt(0.5)
 

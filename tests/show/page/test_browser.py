@@ -358,7 +358,7 @@ def test_it_opens_at_an_incident_and_names_the_broken_rules(chromium: Chrome, cr
     assert page.time == pytest.approx(incident["start"] - 3)
     assert page.ask("[replay.incidents.current, replay.camera.followed]") == [0, incident["actors"][0]]
     assert page.ask("[...document.querySelectorAll('#notes li')].map(note => note.textContent)") == [
-        *("rule 0", "rule 1", "rule 2", "rule 3", "and 2 more"),
+        *("rule 0", "rule 1", "rule 2", "rule 3", "and 2 more")
     ]
     assert page.ask("location.hash") == ""
     assert Page(chromium, tmp_path / "page.html", "#t=20").time == 20
@@ -370,7 +370,7 @@ def test_it_opens_shortly_before_a_moment_without_an_incident(chromium: Chrome, 
     page = Page(chromium, report(CROSSING, tmp_path / "page.html", opening=Opening(20.0, (actor,))))
     assert page.time == 17
     assert page.ask("[replay.incidents.current, replay.camera.followed, document.getElementById('notes').hidden]") == [
-        *(-1, actor, True),
+        *(-1, actor, True)
     ]
 
 

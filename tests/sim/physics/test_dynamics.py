@@ -417,8 +417,7 @@ def test_stiffer_tyres_take_every_vehicle_as_far_or_farther() -> None:
 
 
 @pytest.mark.parametrize(
-    "steering",
-    [(70.0, 70.0, 70.0, 70.0), (70.0, 0.0, 70.0, 0.0), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 70.0, 70.0)],
+    "steering", [(70.0, 70.0, 70.0, 70.0), (70.0, 0.0, 70.0, 0.0), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 70.0, 70.0)]
 )
 def test_any_wheels_may_steer(steering: tuple[float, ...]) -> None:
     world = flat_world()

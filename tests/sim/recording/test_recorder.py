@@ -798,11 +798,7 @@ def test_what_cannot_be_handed_over_ends_the_recording(tmp_path: Path) -> None:
 
 
 def test_without_an_interpreter_nothing_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for executable, end in (
-        ("/absent", "No such file"),
-        ("/bin/true", "ended with exit code 0"),
-        ("/bin/false", "code 1"),
-    ):
+    for executable, end in (("/absent", "No such file"), ("/bin/true", "ended with exit code 0"), ("/bin/false", "code 1")):
         monkeypatch.setattr(sys, "executable", executable)
         with pytest.raises(RecapError, match=f"the process that writes recordings cannot be started: .*{end}"):
             flat_world().start_recorder(tmp_path / "a.mcap")

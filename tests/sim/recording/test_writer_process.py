@@ -79,11 +79,7 @@ def answers(*commands: tuple[Any, ...], more: bytes = b"") -> Iterator[str | Non
 
 
 def test_each_command_is_answered(tmp_path: Path) -> None:
-    commands = [
-        ("begin", tmp_path / "a.log", HEADER, True),
-        *(("write", batch) for batch in batches(60)),
-        ("close",),
-    ]
+    commands = [("begin", tmp_path / "a.log", HEADER, True), *(("write", batch) for batch in batches(60)), ("close",)]
     assert list(answers(*commands)) == [None] * len(commands)
     assert frames(tmp_path / "a.log") == 60
 
@@ -91,10 +87,7 @@ def test_each_command_is_answered(tmp_path: Path) -> None:
 def test_an_error_is_the_answer_and_the_next_recording_is_written(tmp_path: Path) -> None:
     absent = tmp_path / "absent" / "a.mcap"
     first, second, third, fourth = answers(
-        ("begin", absent, HEADER, True),
-        ("write", None),
-        ("begin", tmp_path / "b.mcap", HEADER, True),
-        ("close",),
+        ("begin", absent, HEADER, True), ("write", None), ("begin", tmp_path / "b.mcap", HEADER, True), ("close",)
     )
     assert first == f"{absent}: cannot be written: No such file or directory"
     assert second

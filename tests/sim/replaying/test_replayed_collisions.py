@@ -94,9 +94,7 @@ def test_a_time_factor_changes_when_collisions_come(crash: tuple[Path, dict[int,
     assert with_impulse == [min(found)]
 
 
-def test_a_replay_that_starts_later_has_the_collisions_from_there_on(
-    crash: tuple[Path, dict[int, list[Collision]]],
-) -> None:
+def test_a_replay_that_starts_later_has_the_collisions_from_there_on(crash: tuple[Path, dict[int, list[Collision]]]) -> None:
     path, recorded = crash
     late = max(recorded) * DELTA - 1.0
     assert min(collisions(replayed(path, start=late), 10)) == 0
