@@ -306,6 +306,46 @@ def tampered(path, change):
     return forged.write(path, summary=[*forged.described, *change(forged.indexes)])
 
 
+def test_an_index_that_leaves_out_channels_of_a_chunk_is_an_error(small_mcap):
+    def less(indexes):
+        indexes[0].message_index_offsets = {1: 0}
+        return indexes
+
+    tampered(small_mcap, less)
+    with pytest.raises(FormatError, match="channels that it has not in the index"):
+        images(small_mcap)
+
+
+def without_start(data):
+    own = codec.parse("frame", frames_module.FRAME_MESSAGE, data)
+    own.packets, own.filled = own.packets[1:], own.filled[1:]
+    return own.SerializeToString()
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "reason"),
+    [
+        ("/collisions", lambda n, data: (n + 3 * (n == 14), data), "has messages that are not among its packets"),
+        ("/frames", lambda n, data: (n % 300, data), "come after those of frame"),
+        ("/frames", lambda n, data: (n, without_start(data) if n == 14 else data), "has no start, and is not the first"),
+    ],
+)
+def test_a_frame_that_contradicts_its_messages_is_an_error(driven, topic, change, reason):
+    parts = data_records(driven)
+    (id,) = (part.id for part in parts if isinstance(part, records.Channel) and part.topic == topic)
+
+    def changed(chunk):
+        content = b""
+        for channel, sequence, time, _, data in messages_in(chunk):
+            sequence, data = change(sequence, data) if channel == id else (sequence, data)
+            content += forge.message(channel, sequence, time, data)
+        return seal(content, message_start_time=chunk.message_start_time, message_end_time=chunk.message_end_time)
+
+    with_chunks(driven, changed)
+    with pytest.raises(FormatError, match=reason), warnings_ignored():
+        images(driven)
+
+
 def test_a_chunk_that_is_named_twice_is_an_error(small_mcap):
     tampered(small_mcap, lambda indexes: [*indexes, indexes[0]])
     with pytest.raises(FormatError, match="the summary names a chunk twice"):
@@ -670,6 +710,11 @@ def test_a_digest_of_more_rows_than_a_file_can_mean_is_missed(tmp_path):
 def resealed_with(chunk, messages):
     times = {"message_start_time": chunk.message_start_time, "message_end_time": chunk.message_end_time}
     return seal(forge.packed(*messages), **times)
+
+
+def test_a_digest_without_a_checksum_is_missed(struck):
+    with_chunks(struck, lambda chunk: resealed(chunk, "zstd", uncompressed_crc=0))
+    assert digest_of(struck) == (None, None)
 
 
 def test_odd_velocities_leave_the_digest_out(tmp_path, struck):

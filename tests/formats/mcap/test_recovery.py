@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import struct
 import warnings
+from contextlib import nullcontext
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
 
+from carla_recap.errors import RecapWarning
 from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import Damage, recover_summary
 from carla_recap.formats.sources import LocalSource
@@ -70,7 +72,7 @@ def test_declarations_that_chunks_repeat_cost_nothing_and_too_many_are_said(driv
         summary, damage = recovered(driven)
     assert (len(summary.chunks), damage.chunks, damage.bytes) == (number - 1, 0, 0)
     assert summary.schemas[99] == f"{0:0100}"
-    left_out = f"{number - 2} schemas and channels that chunks declare are left out, as they are too many or too large"
+    left_out = f"{number - 2} schemas and channels are left out, as they are too many or too large"
     assert [str(each.message) for each in caught] == ([] if repeated else [f"{driven}: {left_out}"])
 
 
@@ -247,9 +249,14 @@ def test_thousands_of_channels_cost_little(driven):
     channel = next(part for part in parts if isinstance(part, records.Channel))
     data = Forge([*parts, *[channel] * 150_000]).write(driven, summary=[]).read_bytes()
     save(driven, data[:-100])
-    with time_limit():
+    with time_limit(), pytest.warns(RecapWarning, match="schemas and channels are left out"):
         summary, _ = recovered(driven)
     assert len(summary.chunks) == len(offsets_of(data))
+
+
+def test_messages_of_a_channel_that_is_not_declared_are_said_to_be_left_out(tmp_path):
+    with pytest.warns(RecapWarning, match="messages of 1 channels are left out, as their declarations are lost"):
+        recovered(save(tmp_path / "x.mcap", MAGIC + packed(seal(message(999, 0, 0, b"")))))
 
 
 # --- limits ----------------------------------------------------------------------------------------------
@@ -316,7 +323,8 @@ def test_how_many_messages_are_counted(tmp_path, more):
 def test_how_many_records_beside_chunks_are_read(tmp_path, more):
     channel = packed(records.Channel(id=7, topic="", message_encoding="", metadata={}, schema_id=0))
     schema = packed(records.Schema(id=3, data=b"", encoding="", name="last"))
-    summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + channel * (131_071 + more) + schema))
+    with pytest.warns(RecapWarning, match="1 schemas and channels are left out") if more else nullcontext():
+        summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + channel * (131_071 + more) + schema))
     assert summary.schemas == ({} if more else {3: "last"})
 
 

@@ -71,9 +71,13 @@ def recover_summary(source: ByteSource) -> tuple[index.Summary, Damage]:
     for offset in (offset for name, offset in own.metadata.items() if name not in summary.metadata):
         scan.take(offset)
     if scan.undeclared:
-        text = f"{scan.undeclared} schemas and channels that chunks declare are left out, as they are too many or too large"
+        text = f"{scan.undeclared} schemas and channels are left out, as they are too many or too large"
         warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
     _declare_lost(summary)
+    unknown = {id for chunk in summary.chunks for id in chunk.channels} - summary.channels.keys()
+    if unknown:
+        text = f"messages of {len(unknown)} channels are left out, as their declarations are lost"
+        warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
     return summary, damage
 
@@ -107,7 +111,7 @@ class _Scan:
         self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
         self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
         self._parsed = index.RECORDS_LIMIT
-        self.undeclared = 0  # declarations in chunks beyond what is kept in memory, repeated ones included
+        self.undeclared = 0  # declarations beyond what is kept in memory, repeated ones included
         self._declared = _DECLARED
         self._declarations: set[tuple[int, bytes]] = set()
 
@@ -190,7 +194,10 @@ class _Scan:
         self.summary.chunks.append(chunk)
 
     def _take_other(self, opcode: int, at: int, length: int) -> None:
-        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA) or not self._parsed:
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+            return
+        if not self._parsed:
+            self.undeclared += opcode != Opcode.METADATA
             return
         if opcode == Opcode.METADATA and length > index.METADATA_LIMIT:
             return
