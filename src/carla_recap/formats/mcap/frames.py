@@ -154,8 +154,9 @@ class FrameAssembler:
                 self._allowance -= messages
                 if held > MESSAGES_LIMIT:
                     raise self._too_much(chunk)
-                if chunk.channels and not chunk.channels.issuperset(slot[0] for slot in run.slots):
-                    text = "a chunk has messages of channels that it has not in the index: the index is wrong"
+                is_listed = not chunk.channels or chunk.channels.issuperset(slot[0] for slot in run.slots)
+                if not is_listed or not chunk.start <= run.time <= chunk.end:
+                    text = "a chunk has messages of channels or times that it has not in the index: the index is wrong"
                     raise FormatError(self._location, chunk.offset, text)
                 if slots := tuple(slot for slot in run.slots if slot[0] in wanted):
                     self._runs.append(run._replace(slots=slots))
@@ -212,6 +213,12 @@ class FrameAssembler:
             found = codec.read_frame(run.message(0, own))
             if found is None or not codec.have_heads(heads):
                 return None
+            for _, offset, _ in slots.values():
+                own_heads = run.view(codec.HEAD_DTYPE, offset)[:, 0]
+                if (own_heads["frame"] != heads["frame"]).any() or own_heads["elapsed"].tobytes() != heads[
+                    "elapsed"
+                ].tobytes():
+                    return None
             plan = self._plan(*found[3:])
             for step in plan.steps:
                 if isinstance(step, Packet):
@@ -231,8 +238,10 @@ class FrameAssembler:
         for channel, data in reversed(found):
             waiting.setdefault(channel, []).append(data)
         own, read = waiting.get(self._channels.frames), self._selection
-        if own is None or read.sparse:
+        if read.sparse or (own is None and (self._lenient or self._channels.frames not in self._channels.specs)):
             return self._frame_of_messages(index, found)
+        if own is None:
+            raise FormatError(self._location, None, f"the messages at position {index} have no frame")
         id, elapsed, duration, *kept = self._read_frame(own[-1])
         plan, raw = self._plan(*kept), self._channels.raw
         packets: list[Packet] = []
@@ -243,6 +252,8 @@ class FrameAssembler:
                 packets.append(self._raw_packet(messages) if step == raw else self._packet(step, messages.pop()))
         if not self._lenient and (fault := self._fault(index, plan, waiting)):
             raise FormatError(self._location, None, f"frame {id} {fault}; 'carla-recap recover' saves what it can")
+        if not self._lenient and any(_is_of_another(data, id, elapsed) for _, data in found):
+            raise FormatError(self._location, None, f"frame {id} has messages of another frame or time")
         if len(packets) < len(plan.steps) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
             self._warn(id)
         return Frame(index, id, elapsed, duration, packets, preamble=plan.preamble)
@@ -310,6 +321,12 @@ class FrameAssembler:
         table = self._channels.table
         type = table[message.id] if message.id < len(table) else None
         return Packet(message.id, type, b"".join(pieces), origin=(self._location, None))
+
+
+def _is_of_another(data: memoryview, id: int, elapsed: float) -> bool:
+    """Return whether a message says, at its start, that it is of another frame."""
+    head = codec.read_head(data)
+    return head is not None and (head[0] != id or (head[1] != elapsed and not math.isnan(elapsed)))
 
 
 def _of_same_frames(runs: list[MessageRun]) -> Iterator[list[MessageRun]]:
