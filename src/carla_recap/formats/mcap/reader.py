@@ -71,7 +71,8 @@ class McapReader(Reader):
             self._source.close()
             raise
         self._channels = Channels(_match(self._summary, schema.channel_specs(self.header.table)), self.header.table)
-        if not lenient and self._channels.specs and self._channels.frames not in self._channels.specs:
+        packets = self._channels.wanted(None, frames=True)
+        if packets and not lenient and self._channels.frames not in packets:
             self._source.close()
             raise FormatError(
                 self.location, None, "the channel of its frames is missing; 'carla-recap recover' saves what it can"
