@@ -306,13 +306,14 @@ def tampered(path, change):
     return forged.write(path, summary=[*forged.described, *change(forged.indexes)])
 
 
-def test_an_index_that_leaves_out_channels_of_a_chunk_is_an_error(small_mcap):
+@pytest.mark.parametrize(("field", "value"), [("message_index_offsets", {1: 0}), ("message_end_time", 1)])
+def test_an_index_that_leaves_out_messages_of_a_chunk_is_an_error(small_mcap, field, value):
     def less(indexes):
-        indexes[0].message_index_offsets = {1: 0}
+        setattr(indexes[0], field, value)
         return indexes
 
     tampered(small_mcap, less)
-    with pytest.raises(FormatError, match="channels that it has not in the index"):
+    with pytest.raises(FormatError, match="that it has not in the index"):
         images(small_mcap)
 
 
@@ -326,6 +327,8 @@ def without_start(data):
     ("topic", "change", "reason"),
     [
         ("/collisions", lambda n, data: (n + 3 * (n == 14), data), "has messages that are not among its packets"),
+        ("/collisions", lambda n, data: (n, data[:10] + b"\1" + data[11:]), "has messages of another frame or time"),
+        ("/frames", lambda n, data: (n + 10**6 * (n == 14), data), "at position 14 have no frame"),
         ("/frames", lambda n, data: (n % 300, data), "come after those of frame"),
         ("/frames", lambda n, data: (n, without_start(data) if n == 14 else data), "has no start, and is not the first"),
     ],
@@ -344,6 +347,14 @@ def test_a_frame_that_contradicts_its_messages_is_an_error(driven, topic, change
     with_chunks(driven, changed)
     with pytest.raises(FormatError, match=reason), warnings_ignored():
         images(driven)
+
+
+def test_frames_without_their_channel_are_an_error(small_mcap):
+    parts = data_records(small_mcap)
+    kept = [part for part in parts if not (isinstance(part, records.Channel) and part.topic == "/frames")]
+    Forge(kept).write(small_mcap)
+    with pytest.raises(FormatError, match="the channel of its frames is missing"):
+        open_recording(small_mcap)
 
 
 def test_a_chunk_that_is_named_twice_is_an_error(small_mcap):
