@@ -169,6 +169,7 @@ def result(name: str, printed: bytes, work: Path) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bucket", description=__doc__)
     parser.add_argument("--count", type=int, default=100, help="of recordings (default: %(default)s)")
+    parser.add_argument("--only", action="append", choices=commands("", Path()), metavar="NAME")
     options = parser.parse_args()
     count, failed = options.count, False
     cluster_options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
@@ -179,27 +180,26 @@ def main() -> None:
             bucket(work / "samples", count),
             LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, **cluster_options) as cluster,
         ):
-            if True:
-                beside = [psutil.Process(worker.pid) for worker in cluster.workers.values()]
-                ways = {"2 processes": (["--jobs", 2], []), "4 on Dask": (["--dask", cluster.scheduler_address], beside)}
-                for what in commands("", work):
-                    hashes, told = set(), []
-                    for way, (more, others) in ways.items():
-                        peaks = []
-                        for source in (f"s3://{BUCKET}/few", f"s3://{BUCKET}"):
-                            room = work / "room"
-                            room.mkdir()
-                            printed, seconds, peak = answer([*commands(source, room)[what], *more], others)
-                            peaks.append(peak)
-                            found = result(what, printed, room)
-                            shutil.rmtree(room)
-                        hashes.add(found)
-                        failed |= peaks[1] - peaks[0] > MEMORY
-                        told.append(
-                            f"{way} {seconds:.0f} s, {peaks[1] / 1e6:.0f} MB ({peaks[0] / 1e6:.0f} MB for {count // 10:,})"
-                        )
-                    failed |= len(hashes) > 1
-                    print(f"{what}: {'; '.join(told)}; {'equal' if len(hashes) == 1 else 'DIFFERENT'}", flush=True)
+            beside = [psutil.Process(worker.pid) for worker in cluster.workers.values()]
+            ways = {"2 processes": (["--jobs", 2], []), "4 on Dask": (["--dask", cluster.scheduler_address], beside)}
+            for what in options.only or commands("", work):
+                hashes, told = set(), []
+                for way, (more, others) in ways.items():
+                    peaks = []
+                    for source in (f"s3://{BUCKET}/few", f"s3://{BUCKET}"):
+                        room = work / "room"
+                        room.mkdir()
+                        printed, seconds, peak = answer([*commands(source, room)[what], *more], others)
+                        peaks.append(peak)
+                        found = result(what, printed, room)
+                        shutil.rmtree(room)
+                    hashes.add(found)
+                    failed |= peaks[1] - peaks[0] > MEMORY
+                    told.append(
+                        f"{way} {seconds:.0f} s, {peaks[1] / 1e6:.0f} MB ({peaks[0] / 1e6:.0f} MB for {count // 10:,})"
+                    )
+                failed |= len(hashes) > 1
+                print(f"{what}: {'; '.join(told)}; {'equal' if len(hashes) == 1 else 'DIFFERENT'}", flush=True)
     sys.exit(failed)
 
 

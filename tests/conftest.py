@@ -54,10 +54,10 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 
 _NEEDS = {
-    "part of the repository|recordings of CARLA are not here": "CARLA's recordings or maps, which are not published here",
+    "not part of the rep|recordings of CARLA are not here|is absent": "CARLA's recordings or maps, which are not public",
     "chromium|selenium": "a browser: on Debian, install chromium and chromium-driver",
-    "libgl1-mesa-dri|graphics driver": "a driver for OpenGL: on Debian, install libegl1 and libgl1-mesa-dri",
-    "npm ci|node is not": "node and npm, then `npm ci --prefix tests/node`",
+    "libgl1-mesa-dri|graphics driver|driver to draw": "a driver for OpenGL: on Debian, install libegl1 and libgl1-mesa-dri",
+    "npm|no node": "node and npm, with which `make test` installs what they need",
     "make clients": "other releases of CARLA's client: `make clients`",
     "make nuscenes": "nuscenes-devkit: `make nuscenes`",
     "not installed|could not import": "packages of extras: `make test` installs them",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, ask_quiet, fail, log_to_stderr, print_written, warn
+from carla_recap.cli.output import BAD_INPUT, INTERRUPTED, PYTHON_HINT, ask_quiet, fail, log_to_stderr, print_written, warn
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.util.signals import ignore_termination, is_first, is_terminating, set_handlers
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import FrameType
 
-INTERRUPTED: Final = 130
 
 _COMMANDS: Final = {
     "queries": ("info", "summary", "collisions", "blocked", "actors", "incidents", "measures"),

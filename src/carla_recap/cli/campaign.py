@@ -18,7 +18,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.check import loaded_rules
 from carla_recap.cli.many import cluster
-from carla_recap.cli.output import BAD_INPUT, counted, fail, note, print_pieces, say, warn, wrote
+from carla_recap.cli.output import counted, end, fail, note, print_pieces, say, warn, wrote
 from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures import Measure
     from carla_recap.rules.rule_sets import RuleSet
 
-_BROKEN: Final = 1  # the exit code if rules are broken
 _SHOWN: Final = 5  # of the worst runs, and of failed ones
 
 
@@ -139,7 +138,7 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
         f"runs: {len(rows) - failed - there} done, {there} were there, {failed} failed"
         + (f"; {counted(broken, 'recording')} of {len(rows) - failed} break rules" if rules is not None else "")
     )
-    sys.exit(BAD_INPUT if failed else _BROKEN if broken else 0)
+    end(failed=failed, unmet=broken)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

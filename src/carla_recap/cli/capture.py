@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-import sys
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted, note, wrote
+from carla_recap.cli.output import counted, end, note, wrote
 from carla_recap.cli.parameter_types import FOLLOW, NUMBER
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
     from carla_recap.sensors.rig import SensorRig
 
-_CUT_SHORT: Final = 1
-"""The exit code if what was to be recorded is gone before the end."""
 
 _follow = click.option(
     "--follow",
@@ -77,7 +74,7 @@ def capture(
             note(hint)
     wrote(destination, *notes, captured.why, frames=captured.frames, seconds=captured.seconds, **facts)
     if captured.is_cut_short:
-        sys.exit(_CUT_SHORT)
+        end(unmet=True)
 
 
 def _layouts(path: str) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, SourcesRequest, cluster, watched
-from carla_recap.cli.output import BAD_INPUT, counted, fail, wrote
+from carla_recap.cli.output import counted, end, fail, print_json, wrote
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.rules.rule_sets import RuleSet
 
-_EXIT_CODES: Final = {"pass": 0, "fail": 1, "error": 2}
 _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 
 
@@ -103,7 +101,8 @@ def check(
         wrote(junit)
     if failures:  # after the verdicts, which took longer than the writing
         raise failures[0]
-    sys.exit(_EXIT_CODES[worst(each.status for each in checked)])
+    status = worst(each.status for each in checked)
+    end(failed=status == "error", unmet=status == "fail")
 
 
 def loaded_rules(path: str) -> RuleSet:
@@ -115,7 +114,7 @@ def loaded_rules(path: str) -> RuleSet:
     except RulesError as error:
         for fault in error.faults:
             fail(fault)
-        sys.exit(BAD_INPUT)
+        end(failed=True)
 
 
 def _write_pages(
@@ -153,9 +152,13 @@ def _folder_of_pages(path: str | None, *, force: bool) -> Iterator[Path | None]:
         yield room
 
 
+def _counts(checked: Sequence[CheckedRecording]) -> dict[str, int]:
+    return {status: sum(each.status == status for each in checked) for status in ("pass", "fail", "error")}
+
+
 def summary(checked: Sequence[CheckedRecording]) -> str:
     """Return the numbers of recordings by status, in words."""
-    counts = {status: sum(each.status == status for each in checked) for status in _EXIT_CODES}
+    counts = _counts(checked)
     words = (("pass", "passed"), ("fail", "failed"), ("error", "not judged"))
     return ", ".join(f"{counts[status]} {word}" for status, word in words if counts[status] or status != "error")
 
@@ -166,7 +169,7 @@ def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None)
 
     ordered = sorted(checked, key=lambda each: WORST_FIRST.index(each.status))
     if form == "json":
-        click.echo(json.dumps(_plain(ordered, rules), indent=1, allow_nan=False))
+        print_json(_plain(ordered, rules))
         return
     rows = [row for each in ordered for row in _rows(each)]
     if form is None and sys.stdout.isatty():
@@ -216,9 +219,8 @@ def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any
     """Return the verdicts as they are printed in JSON."""
     from dataclasses import asdict
 
-    counts = {status: sum(each.status == status for each in checked) for status in _EXIT_CODES}
     listed = [{"name": rule.name, "condition": rule.kind, "description": rule.description} for rule in rules]
-    return {"counts": counts, "rules": listed, "recordings": [asdict(each) for each in checked]}
+    return {"counts": _counts(checked), "rules": listed, "recordings": [asdict(each) for each in checked]}
 
 
 def _seconds(time: float | None) -> str:

@@ -5,20 +5,17 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from carla_recap.cli import opening, options
-from carla_recap.cli.output import counted, print_pieces, wrote
+from carla_recap.cli.output import counted, end, print_pieces, wrote
 from carla_recap.cli.parameter_types import NUMBER
 
 if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
     from carla_recap.recording import Recording
-
-DIFFERENT: Final = 1
-"""The exit code of recordings that differ."""
 
 
 @click.command()
@@ -79,7 +76,7 @@ def diff(
             _write_rrd(a, b, rrd, road_map, force=force)
         if html:
             _write_page(a, b, found, html, road_map, force=force)
-    sys.exit(0 if found.equal else DIFFERENT)
+    end(unmet=not found.equal)
 
 
 def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, force: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import re
@@ -13,7 +12,7 @@ from typing import Any, Final
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted
+from carla_recap.cli.output import counted, print_json
 from carla_recap.util.text import single_line
 
 _PACKAGE: Final = "carla-recap"
@@ -42,7 +41,7 @@ def doctor(form: str | None) -> None:
         "cache": _cache(),
     }
     if form == "json":
-        click.echo(json.dumps(found, indent=1))
+        print_json(found)
     else:
         for heading, lines in _lines(found).items():
             click.echo("\n".join([heading, *(f"  {name:<14} {text}".rstrip() for name, text in lines)]))

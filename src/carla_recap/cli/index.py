@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeVar
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted, fail, warn, wrote
+from carla_recap.cli.output import counted, end, fail, warn, wrote
 from carla_recap.errors import RecapError
 from carla_recap.util.text import number, visible
 
@@ -33,8 +33,6 @@ T = TypeVar("T")
 _LONGEST: Final = 200  # characters of the names of maps
 _MEMORY: Final = 2 << 30  # bytes, for a query and its answer
 _LONGEST_QUERY: Final = 1 << 20  # bytes
-FAILED: Final = 2
-"""The exit code if a recording cannot be read."""
 Form = Literal["table", "json", "csv"]
 _PAGE: Final = 500  # rows of a table whose columns are as wide as needed for all of them
 _BATCH: Final = 4096  # rows that are Python objects at a time
@@ -94,7 +92,7 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
         warn(f"unknown maps: {named}; {WITHOUT_ROADS}")
-    sys.exit(FAILED if summary.failed else 0)
+    end(failed=summary.failed)
 
 
 @click.command()

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from carla_recap.cli.opening import opened
 from carla_recap.cli.output import (
-    BAD_INPUT,
     PYTHON_HINT,
-    TOO_MANY,
     collect_warnings,
     counted,
+    end,
     fail,
     form_of,
+    is_too_many,
     print_pieces,
     show,
     warn,
@@ -90,12 +90,12 @@ class QueryRequest(SourcesRequest):
             found, processes, bar = stack.enter_context(self.opened("reading"))
             given = stack.enter_context(closing(answers(query, self.shape, found, **processes)))
             try:
-                code = _print(given, self.shape, bar, self.max_rows)
+                failed, too_many = _print(given, self.shape, bar, self.max_rows)
             except BrokenPipeError:
                 stack.close()
                 _end_as_by_a_closed_pipe()
                 raise
-        sys.exit(code)
+        end(failed=failed, unmet=too_many)
 
 
 def is_one(source: str) -> bool:
@@ -137,8 +137,8 @@ def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], S
     return found, SourcesBar(title, len(found))
 
 
-def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> int:
-    """Print answers; return the exit code."""
+def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> tuple[int, bool]:
+    """Print answers; return the number of errors, and whether there are more rows than allowed."""
     printer, messages, rows = _PRINTERS[form](bar), Messages(bar), 0
     for each in given:
         printer.add(each)
@@ -148,10 +148,7 @@ def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_row
     bar.close()
     printer.end()
     messages.end()
-    too_many = max_rows is not None and rows > max_rows
-    if too_many:
-        fail(f"{counted(rows, 'row')}, at most {max_rows} were allowed")
-    return BAD_INPUT if messages.failed else TOO_MANY if too_many else 0
+    return messages.failed, is_too_many(rows, max_rows)
 
 
 class Messages:

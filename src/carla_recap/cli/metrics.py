@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import traceback
 from pathlib import Path
-from typing import Final
 
 import click
 
 from carla_recap.cli import opening, options
-from carla_recap.cli.output import warn
-
-FAILED: Final = 1
-"""The exit code of a metric that raises an error."""
+from carla_recap.cli.output import UNMET, warn
 
 
 @click.command()
@@ -44,4 +40,4 @@ def metrics(ctx: click.Context, metric: str, source: str, criteria: str | None, 
             while trace is not None and Path(trace.tb_frame.f_code.co_filename).name != Path(metric).name:
                 trace = trace.tb_next
             traceback.print_exception(type(error), error, trace)
-            ctx.exit(FAILED)
+            ctx.exit(UNMET)

@@ -6,6 +6,7 @@ import os
 import sys
 import warnings
 from functools import lru_cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO
 
 import click
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.answers import Form
 
-TOO_MANY: Final = 1
-"""The exit code of an answer with more rows than allowed."""
+UNMET: Final = 1
+"""The exit code if what was demanded is not so: too many rows, broken rules, recordings that differ or are cut short."""
 BAD_INPUT: Final = 2
 """The exit code of an error."""
+INTERRUPTED: Final = 130
+"""The exit code after Ctrl-C."""
 PYTHON_HINT: Final = r" \(in Python, [^)]*\)"
 """What errors say to callers of the package alone, as a pattern."""
 _QUIET: Final = "carla_recap.quiet"
@@ -53,27 +56,31 @@ def collect_warnings() -> list[str]:
 def show(answer: Any, form: str | None, max_rows: int | None = None, warned: Sequence[str] | None = None) -> NoReturn:
     """Print an answer, in JSON with the warnings, and end the program, with exit code 1 if it has more rows than allowed."""
     form = form_of(form, compat=getattr(answer, "compat", False))
-    if form == "text":
-        from carla_recap.output.text import text
+    write = getattr(import_module(f"carla_recap.output.{form}"), form)
+    pieces = write(answer, warned) if form == "json" else write(answer)
+    print_pieces(pieces or ())  # a table has printed itself
+    end(unmet=is_too_many(0 if max_rows is None else len(answer), max_rows))
 
-        print_pieces(text(answer))
-    elif form == "json":
-        from carla_recap.output.json import json
 
-        print_pieces(json(answer, warned))
-    elif form == "csv":
-        from carla_recap.output.csv import csv
-
-        print_pieces(csv(answer))
-    else:
-        from carla_recap.output.table import table
-
-        table(answer)
-    sys.stdout.flush()
-    too_many = max_rows is not None and len(answer) > max_rows
+def is_too_many(rows: int, most: int | None) -> bool:
+    """Return whether there are more rows than allowed, which is printed."""
+    too_many = most is not None and rows > most
     if too_many:
-        fail(f"{counted(len(answer), 'row')}, at most {max_rows} were allowed")
-    sys.exit(TOO_MANY if too_many else 0)
+        fail(f"{counted(rows, 'row')}, at most {most} were allowed")
+    return too_many
+
+
+def end(*, failed: object = False, unmet: object = False) -> NoReturn:
+    """End the program: with exit code 2 if something failed, else with 1 if what was demanded is not so."""
+    sys.stdout.flush()
+    sys.exit(BAD_INPUT if failed else UNMET if unmet else 0)
+
+
+def print_json(value: object) -> None:
+    """Print a value that has no numbers but finite ones as JSON with indentation."""
+    import json
+
+    click.echo(json.dumps(value, indent=1, allow_nan=False))
 
 
 def print_pieces(pieces: Iterable[str]) -> None:

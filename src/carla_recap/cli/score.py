@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from contextlib import ExitStack, closing
@@ -13,7 +12,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, SourcesRequest
-from carla_recap.cli.output import BAD_INPUT, TOO_MANY, fail, print_pieces, wrote
+from carla_recap.cli.output import end, fail, print_json, print_pieces, wrote
 from carla_recap.cli.parameter_types import FOLLOW, PERCENT
 from carla_recap.util.text import visible
 
@@ -152,7 +151,7 @@ def score(
     broken = [(each, verdict) for each in judged for verdict in each.verdicts if verdict.status == "fail"]
     for each, verdict in broken:
         fail(f"{each.recording}: {verdict.message}")
-    sys.exit(BAD_INPUT if messages.failed else TOO_MANY if broken else 0)
+    end(failed=messages.failed, unmet=broken)
 
 
 def _show(scores: Sequence[Score], form: str | None) -> None:
@@ -160,7 +159,7 @@ def _show(scores: Sequence[Score], form: str | None) -> None:
     if form == "json":
         from carla_recap.queries.score.checkpoint import checkpoint
 
-        click.echo(json.dumps(checkpoint(scores), indent=1, allow_nan=False))
+        print_json(checkpoint(scores))
     elif len(scores) == 1:
         print_pieces(_lines(scores[0]))
     elif scores:

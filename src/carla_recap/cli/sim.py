@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import log_to_stderr, wrote
+from carla_recap.cli.output import BAD_INPUT, log_to_stderr, wrote
 from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from carla_recap.sim.world import World
 
 _ROUNDING = 1e-6  # of a tick
-_FAILED = 2  # the exit code for bad input
 
 
 def _not_empty(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
@@ -158,7 +157,7 @@ def _recording(world: World, destination: str, *, additional_data: bool, force: 
         if world.recorder.error is None:
             wrote(destination, *notes, frames=world.recorder.frames, seconds=world.recorder.duration)
         elif sys.exc_info()[0] is None:  # which was a warning
-            click.get_current_context().exit(_FAILED)
+            click.get_current_context().exit(BAD_INPUT)
 
 
 def _watch(what: str, seconds: float, ticks: Iterator[float]) -> None:

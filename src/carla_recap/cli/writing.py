@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +12,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, SourcesRequest, is_one
-from carla_recap.cli.output import BAD_INPUT, counted, not_written, note, wrote
+from carla_recap.cli.output import counted, end, not_written, note, wrote
 from carla_recap.util.files import size_of
 
 if TYPE_CHECKING:
@@ -129,11 +128,11 @@ class WriteRequest(SourcesRequest):
         title: str,
         skipped: list[str],
         take: Callable[[WrittenFile], object],
-        end: Callable[[], object] = lambda: None,
+        finish: Callable[[], object] = lambda: None,
     ) -> None:
         """Go through the recordings, and say what fails; end the program with exit code 2 if one does.
 
-        `take` is called with what is written of each, and `end` when all is; the files that are skipped grow meanwhile.
+        `take` is called with what is written of each, and `finish` when all is; the files that are skipped grow meanwhile.
         """
         written, failed, hints = 0, list[dict[str, str]](), dict[str, None]()
         with self.opened(title) as (found, processes, bar), closing(write(found, processes)) as outcomes:
@@ -149,14 +148,14 @@ class WriteRequest(SourcesRequest):
                         take(outcome.value)
                 bar.advance()
         messages.end()
-        end()
+        finish()
         for hint in hints:
             note(hint)
         note(f"recordings: {written} done, {len(skipped)} skipped, {len(failed)} failed")
         not_written("skipped", list(skipped))
         not_written("failed", failed)
         if failed:
-            sys.exit(BAD_INPUT)
+            end(failed=True)
 
 
 def _with_models(directory: Path, write: Callable[..., WrittenFile], *arguments: Any) -> WrittenFile:
