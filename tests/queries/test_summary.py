@@ -56,6 +56,18 @@ def test_the_way_of_the_hero_has_no_jumps(recorded, suffix):
     assert hero.top_speed == pytest.approx(15)  # of the slope around the second frame
 
 
+def test_the_way_of_the_hero_ends_where_another_actor_gets_its_id(tmp_path):
+    spawn = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
+    with create_recording(tmp_path / "a.log", map_name="nowhere") as recorder:
+        for number in range(9):
+            again = {"destroyed": [7], "spawned": [Spawn(7, ActorKind.VEHICLE)]} if number == 5 else {}
+            records = {"spawned": [spawn]} if number == 0 else again
+            recorder.add_frame(float(number), transforms=[(7, 100 * number, 0, 0, 0, 0, 0)], **records)
+    with open_recording(tmp_path / "a.log") as recording, pytest.warns(RecapWarning, match="'nowhere' is unknown"):
+        hero = recording.summary.hero
+    assert (hero.time, hero.distance) == (4, 4)
+
+
 def test_places_that_are_not_finite_do_not_count(recorded):
     with recorded([0, math.nan, 10, 20]) as recording, pytest.warns(RecapWarning):
         assert recording.summary.hero.distance == pytest.approx(20)

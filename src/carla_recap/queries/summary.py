@@ -144,7 +144,7 @@ def _hero(paths: Trajectories, life: ActorLife) -> HeroSummary | None:
     path = paths.get(life.id)
     if path is None:
         return None
-    path = path.during(life.spawned_at, life.end)
+    path = path.of_life(life)
     if not len(path):
         return None
     steps, speed = path.steps, path.speed
