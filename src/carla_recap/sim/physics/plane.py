@@ -8,6 +8,7 @@ overlap, so that cars on a bridge and below it pass each other.
 from __future__ import annotations
 
 import math
+import threading
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -57,6 +58,17 @@ class BodyContact(NamedTuple):
     point: tuple[float, float]
 
 
+class _Buffers(threading.local):
+    """What pymunk reads into: the planes of a thread share it, since pymunk never frees it."""
+
+    def __init__(self) -> None:
+        self.bodies = Buffer()
+        self.contacts = Buffer()
+
+
+_buffers: Final = _Buffers()
+
+
 class Plane:
     """The bodies of all actors, and the barriers of the town.
 
@@ -72,8 +84,6 @@ class Plane:
         self._heights: dict[pymunk.Shape, Callable[[], Heights]] = {}
         self._known_heights: dict[pymunk.Shape, Heights] = {}  # of this step
         self.space.on_collision(None, None, pre_solve=self._check_heights)
-        self._bodies = Buffer()
-        self._contacts = Buffer()
         self._ids = np.empty(0, np.uintp)
         self._order = np.empty(0, np.intp)
         self._state = np.empty((0, 6))
@@ -138,7 +148,7 @@ class Plane:
         """
         known = self._get(_MOTION)
         known[self._find(ids), : motions.shape[1]] = motions
-        set_space_bodies(self.space, _MOTION, self._bodies)
+        set_space_bodies(self.space, _MOTION, _buffers.bodies)
 
     def set_touching(self, body: pymunk.Body, group: int, touching: bool) -> None:
         """Switch the contacts of a body with others on or off."""
@@ -185,12 +195,12 @@ class Plane:
         self.space.step(seconds)
         self.disturbed = False
         self._state = self._get(_BODY).copy()
-        self._contacts.clear()
-        get_space_arbiters(self.space, _CONTACT, self._contacts)
-        ids = np.frombuffer(self._contacts.int_buf(), np.uintp).reshape(-1, 2)
+        _buffers.contacts.clear()
+        get_space_arbiters(self.space, _CONTACT, _buffers.contacts)
+        ids = np.frombuffer(_buffers.contacts.int_buf(), np.uintp).reshape(-1, 2)
         if not len(ids):
             return []
-        values = np.frombuffer(self._contacts.float_buf()).reshape(len(ids), -1)
+        values = np.frombuffer(_buffers.contacts.float_buf()).reshape(len(ids), -1)
         return [
             BodyContact(a, b, (value[0], value[1]), (value[2], value[3]))
             for (a, b), value in zip(ids.tolist(), values.tolist(), strict=True)
@@ -211,13 +221,13 @@ class Plane:
 
     def _get(self, fields: BodyFields) -> Floats:
         """Return the buffer of some fields of all bodies, a row for each."""
-        self._bodies.clear()
-        get_space_bodies(self.space, fields, self._bodies)
-        ids = np.frombuffer(self._bodies.int_buf(), np.uintp)
+        _buffers.bodies.clear()
+        get_space_bodies(self.space, fields, _buffers.bodies)
+        ids = np.frombuffer(_buffers.bodies.int_buf(), np.uintp)
         if not np.array_equal(ids, self._ids):
             self._ids = ids.copy()
             self._order = np.argsort(ids)
-        return np.frombuffer(self._bodies.float_buf()).reshape(len(ids), -1)
+        return np.frombuffer(_buffers.bodies.float_buf()).reshape(len(ids), -1)
 
     def _find(self, ids: NDArray[np.uintp]) -> NDArray[np.intp]:
         """Return the rows of bodies in the latest buffer."""
