@@ -232,9 +232,9 @@ class Vehicles(Drivetrains):
         yaw, speed, sideways = np.radians(self.rotation[rows, 1]), self.speed[rows], self.sideways[rows]
         cos, sin = np.cos(yaw), np.sin(yaw)
         self._settle(rows, cos, sin, seconds)
-        self.velocity[rows, 0] = same_everywhere(cos * speed - sin * sideways)
-        self.velocity[rows, 1] = same_everywhere(sin * speed + cos * sideways)
-        self.angular_velocity[rows, 2] = same_everywhere(np.degrees(self.turning[rows]))
+        x, y = cos * speed - sin * sideways, sin * speed + cos * sideways
+        motion = same_everywhere(np.array((x, y, np.degrees(self.turning[rows]))))
+        self.velocity[rows, :2], self.angular_velocity[rows, 2] = motion[:2].T, motion[2]
         self._accelerate(seconds)
 
     def _settle(self, rows: NDArray[np.intp], cos: Floats, sin: Floats, seconds: float) -> None:

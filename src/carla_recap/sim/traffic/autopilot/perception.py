@@ -241,10 +241,10 @@ def _find_meetings(state: AutopilotState, paths: _Paths, index: Integers) -> _Hi
     room = cars.half_width[long, None] + np.abs(state.network.curvature(index[long])) * sweep[long, None]
     barred = np.where(drivers.has_reservation[long], np.inf, drivers.stop_line[long] - state.routes.position[long])
     room[paths.distance[long] > barred[:, None]] = 0.0
-    bent = room.max(axis=1) > _LANE
-    one, other = np.triu(bent & bent[:, None], 1).nonzero()
-    if not len(one):
+    bent = (room.max(axis=1) > _LANE).nonzero()[0]
+    if len(bent) < 2:
         return _Hits(*np.empty((4, 0), np.int64))
+    one, other = bent[np.array(np.triu_indices(len(bent), 1))]
     paths = _Paths(*(values[long] for values in paths))
     _, x, y, turn, z = (values[other, None] - values[one, :, None] for values in paths)
     cos, sin = np.cos(paths.heading[one])[:, :, None], np.sin(paths.heading[one])[:, :, None]
