@@ -118,7 +118,8 @@ class ClipCutter:
 
     def _batches(self, first: Frame, stop: float) -> Iterator[Batch]:
         yield Batch.of(self._initial_state.complete(first))
-        # The frame of the stop is looked for behind the first one: the clock may have gone back before that.
+        if first.elapsed >= stop + SAME_TIME:  # frames behind it count as at its time
+            return
         batches = self._reader.batches(start=_start(first))
         later = (batch[max(first.index + 1 - batch.index, 0) :] for batch in batches)
         for rest in within(later, -math.inf, stop + SAME_TIME):
