@@ -207,7 +207,7 @@ def test_the_wheels_turn_no_faster_than_a_driver_can_steer() -> None:
     car.set_target_velocity(Vector(5.0))
     car.apply_control(VehicleControl(steer=1.0))
     world.tick()
-    assert 0 < world.vehicles.steer_angle[0] < world.vehicles.full_lock[0] / 4
+    assert 0 < world.vehicles.steer_angle[0] < world.vehicles.tables.full_lock[0] / 4
     world.run(1)
     assert 0.7 * world.vehicles.steer_limit[0] < world.vehicles.steer_angle[0] < world.vehicles.steer_limit[0]
 

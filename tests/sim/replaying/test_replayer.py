@@ -539,7 +539,7 @@ def test_the_front_wheels_of_a_replayed_vehicle_follow_the_recording(drive: Path
     world = new_world()
     play(world, drive, 1, start=1.0)
     vehicles = world.vehicles
-    np.testing.assert_allclose(vehicles.wheel_angle, vehicles.steer * vehicles.full_lock)
+    np.testing.assert_allclose(vehicles.wheel_angle, vehicles.steer * vehicles.tables.of(vehicles.table).full_lock)
     assert abs(vehicles.wheel_angle).max() > 0.09
 
 

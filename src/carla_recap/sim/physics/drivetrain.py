@@ -221,8 +221,7 @@ def _follow(values: Floats, wanted: Floats, rates: tuple[float, float], seconds:
 def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
     """Drive the vehicles of some rows for a time in s, `exactly` as CARLA does, in its steps, or in longer ones.
 
-    Returns:
-        How far their origins have moved, ahead and to the right of how they stood at first, in m, and their turn in radians.
+    Return how far their origins have moved, ahead and to the right of how they stood, in m, and their turn in radians.
     """
     drive = _Drive(fleet, rows)
     steps = max(ceil(seconds / (_STEP if exactly else _LONG_STEP) - _ROUNDING), 1)

@@ -61,14 +61,9 @@ class Vehicles(Drivetrains):
         self._moved = np.empty(0, np.bool_)
 
     @property
-    def full_lock(self) -> Floats:
-        """The greatest angle of the inner front wheel in radians, (n,)."""
-        return self.tables.of(self.table).full_lock
-
-    @property
     def wheel_angle(self) -> Floats:
         """The angles of the inner front wheels in radians, (n,); without physics, they follow the control at once."""
-        return np.where(self.simulated, self.steer_angle, self.steer * self.full_lock)
+        return np.where(self.simulated, self.steer_angle, self.steer * self.tables.of(self.table).full_lock)
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Set what follows from a physics control."""
@@ -146,8 +141,11 @@ class Vehicles(Drivetrains):
 
     def begin_tick(self, seconds: float) -> bool:
         """See `MovingBodies.begin_tick`; vehicles steer, and the autopilot's are driven for all of the tick."""
-        if not self.sticky.all():
-            self._release_controls()
+        if not self.sticky.all():  # some controls held for the latest tick alone
+            released = ~self.sticky & ~self.controlled
+            for values in (self.throttle, self.steer, self.brake, self.hand_brake, self.reverse, self.manual):
+                values[released] = 0
+            self.controlled[:] = False
         if self.force.any():
             self.add_velocities(np.where(self.simulated[:, None], self.force * seconds / self.mass[:, None], 0.0))
             self.force[:] = 0
@@ -171,13 +169,6 @@ class Vehicles(Drivetrains):
             yaw = np.radians(self.rotation[rows, 1])
             cos, sin = np.cos(yaw), np.sin(yaw)
             self._motions[rows] = np.array((cos * ahead - sin * aside, sin * ahead + cos * aside, turn)).T / seconds
-
-    def _release_controls(self) -> None:
-        """Reset the controls that held for the latest tick alone."""
-        released = ~self.sticky & ~self.controlled
-        for values in (self.throttle, self.steer, self.brake, self.hand_brake, self.reverse, self.manual):
-            values[released] = 0
-        self.controlled[:] = False
 
     def _choose_gears(self) -> None:
         """Put in the gears of manual gearboxes, and reverse, or first after it, at once."""
