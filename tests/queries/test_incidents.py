@@ -412,3 +412,13 @@ def test_an_actor_that_does_not_exist_is_an_error(make: Make) -> None:
     source = make({"spawned": CAST}, contact(1, 2, 1))
     with pytest.raises(RecapError, match="no actor 77; known ids are 1 \\(hero\\)"):
         incidents(source, IncidentOptions(actor=77))
+
+
+def test_limits_of_near_misses_are_options(crossing: Callable[[float], Reader]) -> None:
+    reader = crossing(0.4)
+    assert incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.3)) == []
+    (row,) = incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.5))
+    assert (row.measure, row.threshold) == ("post_encroachment_time", 0.5)
+    later = crossing(1.8)
+    assert incidents(later, IncidentOptions(kinds=["near miss"])) == []
+    assert len(incidents(later, IncidentOptions(kinds=["near miss"], post_encroachment_time=2))) == 1

@@ -235,3 +235,10 @@ def test_actors_that_touch_within_three_seconds_are_there_at_once(moment: float,
     x, y = table.x.copy(), table.y.copy()
     x[0, frame], y[0, frame] = x[1, frame] + 1, y[1, frame] + 1
     assert (len(found_in(replace(table, x=x, y=y))) > 0) == some
+
+
+@pytest.mark.parametrize("start", [1e6, 1e8, -5.0])
+def test_a_recording_may_start_at_any_time(start: float) -> None:
+    table = crossing(TIME)
+    (found,) = found_in(replace(table, time=TIME + start))
+    assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
