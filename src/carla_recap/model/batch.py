@@ -263,7 +263,7 @@ def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any
     return equal
 
 
-class Part:
+class FramePart:
     """The frames from one elapsed time on (-inf: all), until the first one at or after another (inf: all), in s.
 
     Frames between these two are in it, even if their clock goes back to before the first. Batches are given in file order.
@@ -286,8 +286,8 @@ class Part:
 
 
 def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batch]:
-    """Yield the frames of a `Part`, in batches."""
-    part = Part(start, stop)
+    """Yield the frames of a `FramePart`, in batches."""
+    part = FramePart(start, stop)
     for batch in batches:
         if len(found := part.of(batch)):
             yield found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.batch import Part
+from carla_recap.model.batch import FramePart
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, find_actor
 from carla_recap.queries import Answer
@@ -100,7 +100,7 @@ class IncidentSearch:
         if types := self.types:
             spans = [detector.span or (self._options.start, self._options.stop) for detector in self._detectors]
             start, stop = min(start for start, _ in spans), max(stop for _, stop in spans)
-            parts = [Part(start - SAME_TIME, stop - SAME_TIME) for start, stop in spans]
+            parts = [FramePart(start - SAME_TIME, stop - SAME_TIME) for start, stop in spans]
             for batch in self._source.batches(types, start=start, stop=stop):
                 for detector, part in zip(self._detectors, parts, strict=True):
                     if len(found := part.of(batch)):

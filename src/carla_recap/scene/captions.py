@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.batch import Part
+from carla_recap.model.batch import FramePart
 from carla_recap.model.contacts import is_same_contact
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.incidents import IncidentOptions, IncidentSearch, incidents, with_roads
@@ -161,7 +161,7 @@ class PlayedIncidents:
         self._start, self._stop = player.start, player.stop + 2 * SAME_TIME
         if player.start <= 0 and player.stop >= player.total:  # all: what an MCAP file lists need not be computed
             self._start, self._stop = -math.inf, math.inf
-        self._part = Part(self._start - SAME_TIME, self._stop - SAME_TIME)
+        self._part = FramePart(self._start - SAME_TIME, self._stop - SAME_TIME)
         self._search: IncidentSearch | None = None
         self._series = None if player.followed is None else SeriesCollector(player.followed)
         if options is None:
