@@ -27,7 +27,7 @@ from carla_recap import (
     formats,
     open_recording,
 )
-from carla_recap.formats.mcap import codec
+from carla_recap.formats.mcap import codec, writer
 from carla_recap.formats.mcap import frames as frames_module
 from carla_recap.formats.mcap.codec import encode
 from carla_recap.formats.mcap.index import CHUNK_LIMIT
@@ -559,6 +559,13 @@ def test_a_frame_is_found_by_few_bytes(driven):
         at_rest = reader.bytes_read
         assert reader.frame_at(17.0).elapsed == 17.0
         assert reader.bytes_read - at_rest < driven.stat().st_size / 2
+
+
+def test_parts_are_read_where_chunks_of_state_and_of_events_end_at_other_frames(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "CHUNK_SIZE", 20_000)
+    path = write(tmp_path / "run.mcap", Header("Town01", DATE), drive(20))
+    with reading(path) as reader:
+        assert [reader.frame_at(number / 20).index for number in range(90, 110)] == [*range(90, 110)]
 
 
 def test_the_extent_is_known_without_reading(driven):

@@ -241,6 +241,9 @@ class FrameAssembler:
         if read.sparse or (own is None and (self._lenient or self._channels.frames not in self._channels.specs)):
             return self._frame_of_messages(index, found)
         if own is None:
+            frame = self._frame_of_messages(index, found)
+            if frame.elapsed < read.start or frame.elapsed >= read.stop:
+                return frame  # its own message may be in a chunk that is not read
             raise FormatError(self._location, None, f"the messages at position {index} have no frame")
         id, elapsed, duration, *kept = self._read_frame(own[-1])
         plan, raw = self._plan(*kept), self._channels.raw
