@@ -2,7 +2,7 @@ PYTHON ?= python3
 python := .venv/bin/python
 node_modules := tests/node/node_modules viewer/node_modules
 npm := $(if $(shell command -v npm),npm --prefix viewer --silent,@echo no npm here, the page is not checked:)
-pytest := $(python) -m pytest -n 2 --dist=loadfile
+pytest := $(python) -m pytest -n 3 --dist=loadfile
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
 durations := benchmarks/durations.txt

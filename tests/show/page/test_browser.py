@@ -342,6 +342,7 @@ def test_all_of_150_actors_are_shown(chromium: Chrome, tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:no crossings are found behind:carla_recap.RecapWarning")  # the last time of one
+@pytest.mark.filterwarnings("ignore:.*the clock goes back:carla_recap.RecapWarning")
 @pytest.mark.parametrize("name", ["carla-0.9.13-lane-center", "floats", "times", "events"])
 def test_recordings_of_carla_open(chromium: Chrome, tmp_path: Path, name: str) -> None:
     page = Page(chromium, report(carla_log(f"{name}.log"), tmp_path / "page"))
