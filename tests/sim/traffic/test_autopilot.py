@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,6 +121,17 @@ def test_long_vehicles_meet_beside_a_narrow_bend_and_not_in_it(lead: float) -> N
     run(world, 25)
     assert one.transform.location.y > 40
     assert other.transform.location.x < 40
+
+
+def test_long_vehicles_that_are_far_apart_are_not_compared_sample_by_sample() -> None:
+    world = world_of(*(lane(i, (100, 0), start=(0.0, 150.0 * i)) for i in range(40)))
+    for i in range(40):
+        car(world, 20.0, 150.0 * i, name="vehicle.mitsubishi.fusorosa")
+    tracemalloc.start()
+    world.tick()
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 8 << 20
 
 
 def test_drives_about_as_fast_as_the_limit() -> None:

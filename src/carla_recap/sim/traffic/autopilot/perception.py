@@ -244,8 +244,11 @@ def _find_meetings(state: AutopilotState, paths: _Paths, index: Integers) -> _Hi
     bent = (room.max(axis=1) > _LANE).nonzero()[0]
     if len(bent) < 2:
         return _Hits(*np.empty((4, 0), np.int64))
-    one, other = bent[np.array(np.triu_indices(len(bent), 1))]
     paths = _Paths(*(values[long] for values in paths))
+    one, other = bent[np.array(np.triu_indices(len(bent), 1))]
+    reach = paths.distance[:, -1] + room.max(axis=1) + _BESIDE
+    apart = np.hypot(paths.x[one, 0] - paths.x[other, 0], paths.y[one, 0] - paths.y[other, 0])
+    one, other = one[apart < reach[one] + reach[other]], other[apart < reach[one] + reach[other]]
     _, x, y, turn, z = (values[other, None] - values[one, :, None] for values in paths)
     cos, sin = np.cos(paths.heading[one])[:, :, None], np.sin(paths.heading[one])[:, :, None]
     own, theirs = room[one, :, None], room[other, None]
