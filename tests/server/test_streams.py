@@ -2,9 +2,13 @@ from __future__ import annotations
 
 import asyncio
 import struct
+from typing import TYPE_CHECKING
 
 from carla_recap.server.rpc.connection import ConnectionPool
 from carla_recap.server.streams import Streams, framed
+
+if TYPE_CHECKING:
+    import pytest
 
 
 class Wire(asyncio.Transport):
@@ -85,3 +89,18 @@ def test_a_large_frame_is_written_in_pieces_as_the_subscriber_reads() -> None:
         assert len(wire.written) == count
         subscriber.resume_writing()
     assert b"".join(wire.written) == bytes(frame) + framed(b"next")
+
+
+def test_a_stalled_subscriber_is_not_waited_for_until_it_has_read_its_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carla_recap.server.streams._STALLED", 0.0)
+    streams = new_streams()
+    subscriber, wire = subscribe(streams, 3)
+    wire.when_written = subscriber.pause_writing
+
+    async def stall() -> None:
+        streams.send_framed(3, framed(bytes(1 << 21)))
+        await asyncio.wait(streams.behind([3]))
+        subscriber.resume_writing()
+        assert not streams.behind([3])
+
+    asyncio.run(stall())

@@ -257,7 +257,8 @@ class Subscriber(asyncio.Protocol):
 
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
-        self._is_behind = self._has_stalled = False
+        self._is_behind = False
+        self._has_stalled &= bool(self._rest)
         self._write()
         if self._next is not None and not self._is_behind:
             frame, self._next = self._next, None
