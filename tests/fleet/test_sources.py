@@ -48,6 +48,16 @@ def test_linked_folders_are_searched_once(folder, source):
     assert sorted(found) == ["a-link.log", "a.log", "b.mcap", "deep/d.LOG", "linked/e.log"]
 
 
+def test_a_link_that_leads_elsewhere_now_is_followed_anew(tmp_path):
+    link = tmp_path / "link"
+    for name, count in (("one", 1), ("other", 2)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.log").touch()
+        link.unlink(missing_ok=True)
+        link.symlink_to(tmp_path / name)
+        assert len(list(find_sources([link, tmp_path / "one"]))) == count
+
+
 def test_sizes_and_times_are_those_of_the_files(folder):
     found, missing = find_sources([folder / "a.log", folder / "missing.log"])
     assert (found.size, found.modified) == (5, (folder / "a.log").stat().st_mtime)

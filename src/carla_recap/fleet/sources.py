@@ -76,6 +76,7 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
         MissingExtra: It is remote, and the extra for that is not installed.
     """
     seen: set[str] = set()
+    _real_folder.cache_clear()
     for source in _named(sources):
         try:
             if not source:
