@@ -210,6 +210,19 @@ def test_an_imu_measures_in_its_own_axes() -> None:
     assert turning[2] > 0.1
 
 
+def test_an_imu_on_another_sensor_measures_as_one_at_that_place() -> None:
+    host = served()
+    car = vehicle(host)
+    mast = host.world.spawn("sensor.other.gnss", at(2.0, 1.0), parent=car)
+    attached, direct = sensor(host, "other.imu", mast, HERE), sensor(host, "other.imu", car, at(2.0, 1.0))
+    car.set_target_velocity(Vector(10.0))
+    car.apply_control(VehicleControl(throttle=0.6, steer=0.3))
+    for _ in range(20):
+        host.tick()
+    felt = [msgpack.unpackb(imu.take()[-1][1])[0] for imu in (attached, direct)]
+    assert felt[0] == pytest.approx(felt[1])
+
+
 def test_the_noise_of_an_imu_is_the_same_for_a_seed() -> None:
     payloads = []
     for _ in range(2):

@@ -288,11 +288,15 @@ class Actor:
         return self._vector("acceleration")
 
     def _vector(self, column: str) -> Vector:
-        """Return a vector of the nearest actor with a motion of its own among those that it is attached to."""
+        return Vector() if self.carrier is None else self.carrier._vector(column)
+
+    @property
+    def carrier(self) -> Actor | None:
+        """The nearest actor with a motion of its own among those that it is attached to."""
         carrier = self.parent
         while carrier is not None and not carrier.has_motion:
             carrier = carrier.parent
-        return Vector() if carrier is None else carrier._vector(column)
+        return carrier
 
     def follow_parent(self) -> None:
         """Take over position and motion from the parent; one without a motion of its own has its parent's in any case."""

@@ -160,7 +160,7 @@ def imu(sensor: Actor, context: FeedContext) -> Feed:
         passed = clock.elapsed - before[0]
         change = (turning - before[1]) / passed if 0 < passed <= LONGEST_STEP else np.zeros(3)
         before = clock.elapsed, turning
-        origin = transform if sensor.parent is None else sensor.parent.transform
+        origin = transform if sensor.carrier is None else sensor.carrier.transform
         offset = row(transform.location) - row(origin.location)
         felt = acceleration_at(offset, row(sensor.acceleration), turning, change)
         acceleration, rotation, compass = own.measure(axes(transform), transform.rotation.yaw, felt, turning)
