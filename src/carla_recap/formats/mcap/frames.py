@@ -213,12 +213,9 @@ class FrameAssembler:
             found = codec.read_frame(run.message(0, own))
             if found is None or not codec.have_heads(heads):
                 return None
-            for _, offset, _ in slots.values():
-                own_heads = run.view(codec.HEAD_DTYPE, offset)[:, 0]
-                if (own_heads["frame"] != heads["frame"]).any() or own_heads["elapsed"].tobytes() != heads[
-                    "elapsed"
-                ].tobytes():
-                    return None
+            head = run.bytes_at(own[1], codec.HEAD.size)
+            if any((run.bytes_at(offset, codec.HEAD.size) != head).any() for _, offset, _ in run.slots):
+                return None
             plan = self._plan(*found[3:])
             for step in plan.steps:
                 if isinstance(step, Packet):

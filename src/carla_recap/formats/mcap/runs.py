@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.formats.mcap.codec import FRAME_HEAD, HEAD, HEAD_DTYPE, decode_rows, have_heads, records_codec
+from carla_recap.formats.mcap.codec import FRAME_HEAD, HEAD, decode_rows, records_codec
 from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_DTYPE, MESSAGE_FIELDS, RECORD
 from carla_recap.model.batch import PackedColumn, equal_rows, packed
 
@@ -153,7 +153,10 @@ def _extended(run: MessageRun, frame_channel: int) -> MessageRun:
 
 
 def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
-    """Return the messages in a slot of the frames of a run, decoded, or raise `ValueError` if they cannot be together."""
+    """Return the messages in a slot of the frames of a run, decoded, or raise `ValueError` if they cannot be together.
+
+    Their heads are those of the frames.
+    """
     _, offset, size = slot
     if not type.fixed:
         payloads = decode_rows(type, run.bytes_at(offset, size))
@@ -163,6 +166,6 @@ def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
         return PackedColumn(type.id, type, size, payloads.reshape(-1).data, 0, size, run.number)
     codec, start, size = records_codec(type), offset + HEAD.size, size - HEAD.size
     count = codec.count_in(size)
-    if count is None or not have_heads(run.view(HEAD_DTYPE, offset)) or not codec.matches(run.bytes_at(start, size)):
+    if count is None or not codec.matches(run.bytes_at(start, size)):
         raise ValueError(f"a {type.message_name} of another form")
     return packed(type, run.view(codec.wire, start, count))
