@@ -58,6 +58,12 @@ def test_speed_and_pedals_are_held_in_frames_without_the_actor(tmp_path: Path) -
     assert found.pedals[:, 0] == pytest.approx([0.5] * 11 + [math.nan] * 2 + [0.5], nan_ok=True)
 
 
+def test_pedals_are_not_held_into_another_life(tmp_path: Path) -> None:
+    there = {"transforms": [pose(1)], "vehicle_controls": [controls(0.5, 0, 0)]}
+    found = series(tmp_path, [there, {"destroyed": [(1,)]}, {"spawned": [spawn(1)], "transforms": [pose(1)]}])
+    assert found.pedals[:, 0] == pytest.approx([0.5, math.nan, math.nan], nan_ok=True)
+
+
 def test_what_is_attached_and_has_no_poses_has_the_speed_of_its_parent(tmp_path: Path) -> None:
     frames: list[dict[str, Any]] = [{"transforms": [pose(2, 100.0 * n)]} for n in range(4)]
     frames[0] |= {"spawned": [spawn(2), spawn(1, "static.prop.box")], "parented": [(1, 2)]}

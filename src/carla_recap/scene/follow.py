@@ -157,9 +157,11 @@ class FollowedActor:
     def _hold(self, time: Floats, controls: Floats, poses: Floats) -> Floats:
         """Return controls, in frames without any the latest ones for up to 1 s, while the pose is known."""
         times, every = np.append(self._latest[0], time), np.vstack((self._latest[1], controls))
-        latest = np.maximum.accumulate(np.where(np.isfinite(every).all(axis=1), np.arange(len(every)), 0))
+        known = np.isfinite(poses).all(axis=1)
+        ends = np.isfinite(every).all(axis=1) | np.append(False, ~known)  # what was held before
+        latest = np.maximum.accumulate(np.where(ends, np.arange(len(every)), 0))
         self._latest = times[latest[-1]], every[latest[-1]]
-        held = np.isfinite(poses).all(axis=1) & (times - times[latest] <= LONGEST_STEP)[1:]
+        held = known & (times - times[latest] <= LONGEST_STEP)[1:]
         return np.where(held[:, None], every[latest[1:]], controls)
 
     def derive(self, records: FollowedRecords) -> FollowedSeries:
