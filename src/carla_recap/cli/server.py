@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import warnings
 from contextlib import nullcontext
@@ -94,7 +93,6 @@ def serve(
     attached: bool,
 ) -> None:
     """Serve a simulated town to CARLA's own client."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # numpy's threads would wait for each other on a busy machine
     import asyncio
 
     from carla_recap.server.host import Host
