@@ -19,6 +19,7 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, Walke
 from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.physics import drivetrain
 from carla_recap.sim.physics.physics_control import Gear
 from carla_recap.sim.replaying.replayer import _drive_on
 from carla_recap.sim.settings import PRESETS
@@ -385,7 +386,7 @@ def test_a_vehicle_drives_on_in_a_gear_that_it_has(revolutions: float) -> None:
     car.physics_control = replace(car.physics_control, max_rpm=revolutions)
     car.set_simulate_physics(False)
     car.rows.gear[car.row] = 5  # recorded of a vehicle with more gears
-    _drive_on(car, Vector(), 0.0, autopilot=False)
+    _drive_on(car, Vector(), 0.0)
     world.tick()
     assert car.rows.gear[car.row] <= car.gears == 1
 
@@ -978,6 +979,26 @@ def test_a_released_vehicle_drives_on_as_it_did(tmp_path: Path, model: str, cont
         again.tick()
         assert car.velocity.length() == pytest.approx(speed, abs=0.15)
         assert yaw_between(car.transform.rotation.yaw, yaw) == pytest.approx(0, abs=1.5)
+
+
+def test_the_engines_of_all_vehicles_settle_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    world = flat_world()
+    for number in range(10):
+        world.spawn("vehicle.audi.tt", at(0.0, 10.0 * number)).apply_control(VehicleControl(throttle=0.6))
+    world.recorder.start(tmp_path / "a.log", in_process=True)
+    world.run(2.0)
+    world.close()
+    again, advanced = new_world(), []
+    play(again, tmp_path / "a.log", 30)
+    advance = drivetrain.advance
+
+    def counted(fleet: Any, rows: Any, *args: Any, **how: Any) -> Any:
+        advanced.append(len(rows))
+        return advance(fleet, rows, *args, **how)
+
+    monkeypatch.setattr(drivetrain, "advance", counted)
+    again.replayer.stop(keep_actors=True)
+    assert advanced == [10] * 8
 
 
 def test_what_is_being_replayed_is_not_recorded_over(tmp_path: Path) -> None:

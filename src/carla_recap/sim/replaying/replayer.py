@@ -29,13 +29,15 @@ from carla_recap.sim.settings import Weather
 from carla_recap.sim.town.loading import is_unknown, load_corridors, load_town
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Mapping
+    from collections.abc import Callable, Collection, Generator, Iterator, Mapping
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.episode import Actor, Episode
+    from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.town.loading import Town
+    from carla_recap.util.arrays import Integers
 
 
 T = TypeVar("T")
@@ -272,8 +274,7 @@ class Replayer:
         self._mapping.forget_dead()
         if not keep_actors:
             self._mapping.destroy_spawned()
-        for actor in self._mapping.replayed.values():
-            self._return_to_traffic(actor, autopilot=True)
+        self._return_to_traffic(self._mapping.replayed.values(), autopilot=True)
 
     def release(self, actor: Actor) -> None:
         """Let an actor leave the replay, and go on by itself: from its pose, at its recorded speed.
@@ -288,7 +289,7 @@ class Replayer:
         if not self.is_playing or recorded is None or not isinstance(actor, MovingActor):
             raise SimError(f"{actor!r}: is no vehicle or walker that follows a recording")
         self._mapping.release(recorded)
-        self._return_to_traffic(actor, autopilot=False)
+        self._return_to_traffic([actor], autopilot=False)
 
     def step(self, delta: float) -> None:
         """Replay a tick; a damaged recording ends the replay, with a warning."""
@@ -338,13 +339,14 @@ class Replayer:
 
     def _release_to_autopilot(self) -> None:
         """Release the vehicles that have been given to the autopilot, once their speed is known."""
-        vehicles = self._episode.vehicles
+        vehicles, released = self._episode.vehicles, []
         for row in np.flatnonzero(vehicles.autopilot & ~vehicles.simulated).tolist():
             vehicle = vehicles.actors[row]
             recorded = next((id for id, actor in self._mapping.replayed.items() if actor is vehicle), None)
             if recorded is not None and self._kinematic.has_moved(vehicle):
                 self._mapping.release(recorded)
-                self._return_to_traffic(vehicle, autopilot=True)
+                released.append(vehicle)
+        self._return_to_traffic(released, autopilot=True)
 
     def _show(self, scene: Scene, delta: float, seconds: float) -> Generator[None, None, None]:
         """Show a scene, with a step for each actor that is spawned."""
@@ -391,25 +393,27 @@ class Replayer:
             except SimError as error:
                 warnings.warn(f"{self._path}: a recorded weather is left out: {error}", RecapWarning, stacklevel=4)
 
-    def _return_to_traffic(self, actor: Actor, *, autopilot: bool) -> None:
-        """Let an actor move by itself again."""
-        if isinstance(actor, Vehicle) and actor.parent is None:
-            *velocity, yaw_rate = self._kinematic.motion(actor)
-            _drive_on(actor, Vector(*velocity), yaw_rate, autopilot=autopilot)
+    def _return_to_traffic(self, actors: Collection[Actor], *, autopilot: bool) -> None:
+        """Let actors move by themselves again."""
+        driven = [actor for actor in actors if isinstance(actor, Vehicle) and actor.parent is None]
+        for vehicle in driven:
+            *velocity, yaw_rate = self._kinematic.motion(vehicle)
+            _drive_on(vehicle, Vector(*velocity), yaw_rate)
+        _settle(self._episode.vehicles, np.array([vehicle.row for vehicle in driven], np.int64), exactly=not autopilot)
+        for vehicle in driven:
+            vehicle.rows.engage(vehicle.row)
             if not autopilot:  # which acts at the beginning of the next tick
-                actor.apply_control(VehicleControl())
-            actor.set_autopilot(autopilot)
-        if isinstance(actor, Walker):
-            actor.set_simulate_physics(True)
-            self._episode.walkers.speed[actor.row] = 0.0
-            actor.set_target_velocity(Vector())
+                vehicle.apply_control(VehicleControl())
+            vehicle.set_autopilot(autopilot)
+        for actor in actors:
+            if isinstance(actor, Walker):
+                actor.set_simulate_physics(True)
+                self._episode.walkers.speed[actor.row] = 0.0
+                actor.set_target_velocity(Vector())
 
 
-def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float, *, autopilot: bool) -> None:
-    """Let physics move a vehicle on, at a yaw rate in degrees/s, with its recorded gear, pedals and steering.
-
-    Engine and wheels turn as they do after a while at that speed.
-    """
+def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float) -> None:
+    """Let physics move a vehicle on, at a yaw rate in degrees/s, with its recorded gear, pedals and steering."""
     rows, row = vehicle.rows, vehicle.row
     gear, own, tables = min(rows.gear[row], vehicle.gears), rows.table[row], rows.tables
     vehicle.set_simulate_physics(True)
@@ -426,15 +430,18 @@ def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float, *, autopilot:
         reached[row] = control[row]
     if abs(tables.ratios[own, gear] * rows.omega[row, 0]) > tables.most_turns[own]:  # as no engine does
         rows.gear[row] = rows.target_gear[row] = 0
-    elif gear:
-        rows.since_shift[row] = 0.0
-        motion = [(column, column[row].item()) for column in (rows.speed, rows.sideways, rows.turning)]
-        step = _LONG_STEP if autopilot else _EXACT_STEP
-        for _ in range(round(_SETTLING / step)):
-            drivetrain.advance(rows, np.array([row]), step, exactly=not autopilot)
-            for column, value in motion:
-                column[row] = value
-    rows.engage(row)
+
+
+def _settle(fleet: Vehicles, rows: Integers, *, exactly: bool) -> None:
+    """Let engines and wheels of vehicles in gear turn as they do after a while at their speed."""
+    rows = rows[fleet.gear[rows] != 0]
+    fleet.since_shift[rows] = 0.0
+    motion = [(column, column[rows]) for column in (fleet.speed, fleet.sideways, fleet.turning)]
+    step = _EXACT_STEP if exactly else _LONG_STEP
+    for _ in range(round(_SETTLING / step) if len(rows) else 0):
+        drivetrain.advance(fleet, rows, step, exactly=exactly)
+        for column, values in motion:
+            column[rows] = values
 
 
 def finished(steps: Generator[None, None, T]) -> T:
