@@ -47,11 +47,11 @@ def test_a_table_becomes_a_recording(table):
         assert (other.spawned_at, other.destroyed_at, other.is_hero) == (0.5, None, True)
 
 
-@pytest.mark.parametrize(("until", "lives"), [(1.0, [(0, 1.5)]), (1.5, [(0, 0.5), (1.5, None)])])
+@pytest.mark.parametrize(("until", "lives"), [(2.2, [(1.2, 2.7)]), (2.7, [(1.2, 1.7), (2.7, None)])])
 def test_an_object_that_is_missing_for_long_disappears(table, until, lives):
-    others = "".join(f"{time},8,0,0,,\n" for time in (0, 0.5, 1, 1.5))
-    with table(f"time,id,x,y,length,width\n0,7,1,2,4,2\n{until},7,2,2,4,2\n" + others) as recording:
-        found = [(life.spawned_at, life.destroyed_at) for life in recording.actors.lives if life.id == 7]
+    others = "".join(f"{time},8,0,0,,,\n" for time in (1.2, 1.7, 2.2, 2.7))
+    with table(f"time,id,x,y,length,width,role_name\n1.2,7,1,2,4,2,hero\n{until},7,2,2,4,2,\n" + others) as recording:
+        found = [(life.spawned_at, life.destroyed_at) for life in recording.actors.lives if life.is_hero]
     assert found == lives
 
 

@@ -18,6 +18,7 @@ from carla_recap.editing.author import create_recording
 from carla_recap.editing.convert import check_destination, check_new
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.blueprints import blueprint_like
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.lives import HERO
 from carla_recap.model.motion import rates, steps_joined
@@ -406,7 +407,7 @@ class _ImportedTracks:
         self._ids = _actor_ids(self._names)
         self._first = order[edges[:-1]]
         track, frame = of_row[order], np.searchsorted(moments, time[order])
-        missing = (np.diff(time[order]) > _GAP) & (np.diff(frame) > 1) | (np.diff(track) != 0)
+        missing = (np.diff(time[order]) > _GAP + SAME_TIME) & (np.diff(frame) > 1) | (np.diff(track) != 0)
         self._begins, self._ends = order[np.append(True, missing)], order[np.append(missing, True)]
         yaw = self._numbers.setdefault("yaw", np.full(len(time), np.nan))
         unknown = np.isin(np.arange(len(self._names)), of_row[np.isnan(yaw)]) & (np.diff(edges) > 1)
@@ -460,9 +461,9 @@ class _ImportedTracks:
     def _spawn(self, row: int) -> Spawn:
         """Return the spawn of the object of a row, where that is."""
         number = int(self._texts["id"][1][row])
-        name, id = self._names[number], self._ids[number].item()
-        blueprint, kind = self._looks(self._first[number].item())
-        role = HERO if name == self._hero else self._text("role_name", row)
+        name, id, first = self._names[number], self._ids[number].item(), self._first[number].item()
+        blueprint, kind = self._looks(first)
+        role = HERO if name == self._hero else self._text("role_name", first)
         given = {"role_name": role} if role else {}
         if name != str(id):
             given["track_id"] = name
