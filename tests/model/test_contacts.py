@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from time import process_time
 
 import pytest
 
@@ -47,6 +48,18 @@ def test_an_actor_has_no_part_in_contacts_of_one_that_had_its_id_before() -> Non
     contact.actors = LIVES[1], later
     assert [contacts.of(LIVES[1], life) for life in (LIVES[2], later)] == [[next(iter(contacts))], [contact]]
     assert contacts.affected(later, 0.0) == [(1.2, 1.7)]
+
+
+def test_contacts_of_many_actors_with_one_id_take_time_in_proportion() -> None:
+    def seconds(count: int) -> float:
+        frame = Frame(0, 1, 0.0, 0.05, []).replace(spawned=[Spawn(2, 1)], collisions=[(0, 1, 2, 1, 0)])
+        contacts, start = Contacts(), process_time()
+        for _ in range(count):
+            contacts.add(frame)
+        return process_time() - start
+
+    few = min(seconds(500) for _ in range(3))
+    assert seconds(4_000) < 20 * few
 
 
 def test_records_of_adjacent_frames_belong_together_whatever_the_time_between_them() -> None:

@@ -126,6 +126,7 @@ class Contacts:
         self._all: list[Contact] = []
         self._of_pair: dict[frozenset[int], list[Contact]] = {}
         self._latest: dict[frozenset[int], int] = {}  # the index of the latest frame with a record, by pair
+        self._spawned: dict[int, int] = {}  # the index of the frame with the latest spawn, by id
         self._of_actor: dict[int, list[Contact]] = {}
 
     def __iter__(self) -> Iterator[Contact]:
@@ -134,20 +135,21 @@ class Contacts:
     def add(self, frame: Frame) -> None:
         """Add the collision records of a frame."""
         for spawn in frame["spawned"]:
-            self.spawn(spawn.id)
+            self.spawn(frame, spawn.id)
         for _, id1, id2, hero1, hero2 in frame["collisions"].tolist():
             self.touch(frame, (id1, id2), (bool(hero1), bool(hero2)))
 
-    def spawn(self, id: int) -> None:
-        """Note a new actor, which has no part in the contacts of one that had its id before."""
-        for contact in self._of_actor.get(id, ()):
-            self._latest.pop(frozenset(contact.ids), None)
+    def spawn(self, frame: Frame, id: int) -> None:
+        """Note a new actor of a frame, which has no part in the contacts of one that had its id before."""
+        self._spawned[id] = frame.index
 
     def touch(self, frame: Frame, ids: tuple[int, int], heroes: tuple[bool, bool]) -> Contact:
         """Add a collision record of a frame, and return the contact that it belongs to."""
         pair = frozenset(ids)
         known, latest = self._of_pair.setdefault(pair, []), self._latest.get(pair)
         self._latest[pair] = frame.index
+        if latest is not None and latest < max(self._spawned.get(id, 0) for id in pair):
+            latest = None
         if latest is not None and is_same_contact(frame.index - latest, frame.elapsed - known[-1].stop):
             known[-1].stop = frame.elapsed
             return known[-1]

@@ -108,7 +108,7 @@ def collisions(
             if packet.type.name == "spawned":
                 for spawn in packet.records:
                     present.spawn(spawn.id, (spawn.kind, readable(spawn.type_id)))
-                    contacts.spawn(spawn.id)
+                    contacts.spawn(frame, spawn.id)
             elif packet.type.name == "destroyed":
                 for (id,) in packet.records.tolist():  # type: ignore[union-attr]
                     present.destroy(id)
