@@ -143,7 +143,10 @@ class Simulation:
         except BaseException as error:
             if isinstance(error, SystemExit) and error.code == _TERMINATED:
                 raise
-            return RunReport(_line(error, run), _details(error, output))
+            line, details = _line(error, run), _details(error, output)
+            if self.script is not None and isinstance(error, RecapError) and details:
+                line = f"{line}: {single_line(details.splitlines()[-1])}"
+            return RunReport(line, details)
         return RunReport(preparing=preparing)
 
     def _record(self, run: CampaignRun, path: Path, began: float) -> float:
