@@ -99,11 +99,9 @@ class LogReader(Reader):
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
-        if start > -math.inf and sparse:
+        if start > -math.inf and sparse:  # if the clock goes back, the first frame of the part may hold no wanted packet
             sparse = bool((np.diff(np.frombuffer(self._indexed()[0])) >= 0).all())
-        if (
-            first is not None
-        ):  # the first frame of the part, or at its stop, may hold no wanted packet if the clock goes back
+        if first is not None:
             yield from map(self._batch, self._runs(*first, names, sparse=sparse and stop == math.inf))
 
     def frame_at(self, elapsed: float) -> Frame | None:

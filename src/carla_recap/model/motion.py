@@ -170,19 +170,19 @@ def _slopes(time: Floats, values: Floats, begin: Indices, end: Indices) -> Float
     the first one, so that nothing is lost by rounding.
     """
     count = end - begin
-    sums = runs = [np.zeros(len(values)) for _ in range(4)]  # of times, values, squared times, and products of both
+    sums = blocks = [np.zeros(len(values)) for _ in range(4)]  # of times, values, squared times, and products of both
     length = 1
     while length <= count.max(initial=0):
         is_part = count & length
-        at = np.minimum(begin, len(runs[0]) - 1)
-        moved = _moved([each[at] for each in runs], length, time[at] - time, values[at] - values)
+        at = np.minimum(begin, len(blocks[0]) - 1)
+        moved = _moved([each[at] for each in blocks], length, time[at] - time, values[at] - values)
         sums = [each + np.where(is_part, more, 0.0) for each, more in zip(sums, moved, strict=True)]
         begin = begin + is_part
         fewer = max(len(values) + 1 - 2 * length, 0)
         later = slice(length, length + fewer)
         seconds, change = time[later] - time[:fewer], values[later] - values[:fewer]
-        moved = _moved([each[later] for each in runs], length, seconds, change)
-        runs = [each[:fewer] + more for each, more in zip(runs, moved, strict=True)]
+        moved = _moved([each[later] for each in blocks], length, seconds, change)
+        blocks = [each[:fewer] + more for each, more in zip(blocks, moved, strict=True)]
         length *= 2
     times, changes, squares, products = sums
     spread = count * squares - times * times

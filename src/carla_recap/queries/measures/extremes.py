@@ -177,7 +177,7 @@ class MeasureSearch:
     def _note(self, actor: ActorLife, name: str, found: MeasureValues, met: ActorLife | None = None) -> None:
         """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for.
 
-        They are in relation to an actor that is met, if it is not the one that has the id then.
+        `met` is the other actor; None: the one that has its id at that time.
         """
         measure, finite = MEASURES[name], np.isfinite(found.value)
         if actor.id in self._over_time.get(name, ()):
