@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -41,7 +40,7 @@ def never_there(source: Reader, lives: ActorLives) -> set[tuple[int, float]]:
     heights, listed, there = RoadHeights(list(lives)), set[tuple[int, float]](), set[tuple[int, float]]()
     users = {actor.key for actor in lives if actor.kind in ROAD_USERS}
     spawns = np.sort([time for times in lives.reuses().values() for time in times])
-    known: dict[int, tuple[set[int], set[int]]] = defaultdict(lambda: (set(), set()))  # ids, by the number of spawns before
+    latest, known = -1, (set[int](), set[int]())  # the number of spawns before, and the ids that were listed and there since
     for batch in source.batches(("transforms",)):
         if users <= there:
             break
@@ -49,9 +48,11 @@ def never_there(source: Reader, lives: ActorLives) -> set[tuple[int, float]]:
         away, ids = heights.away_in(transforms), transforms["id"]
         number = np.searchsorted(spawns, batch.elapsed + SAME_TIME, "right")
         for each in np.unique(number).tolist():
+            if each != latest:
+                latest, known = each, (set[int](), set[int]())
             rows = number == each
             time = float(batch.elapsed[rows][0]) + SAME_TIME
-            for keys, before, found in zip((listed, there), known[each], (ids[rows], ids[rows][~away[rows]]), strict=True):
+            for keys, before, found in zip((listed, there), known, (ids[rows], ids[rows][~away[rows]]), strict=True):
                 new = set(np.unique(found).tolist()) - before
                 before |= new
                 keys |= {life.key for id in new if (life := lives.at(id, time))}
