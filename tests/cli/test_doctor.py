@@ -38,7 +38,7 @@ def test_versions_and_extras_are_those_of_the_packages(monkeypatch):
     assert found["versions"]["python"] == ".".join(map(str, sys.version_info[:3]))
     assert {"pandas", "cameras", "server", "sql", "rerun"} <= set(found["extras"])
     assert not {"all", "dev"} & set(found["extras"])
-    assert set(found["extras"]["cameras"]) == {"embreex", "moderngl", "pillow"}
+    assert set(found["extras"]["cameras"]) == {"embreex", "moderngl", "pillow", "simplejpeg"}
     assert set(found["extras"]["server"]) >= {"pymunk", "msgpack"}
 
 
