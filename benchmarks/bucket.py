@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 BUCKET: Final = "runs"
 KINDS: Final = 4  # different recordings, which are repeated
 WORKERS: Final = 4  # of the cluster
+FEW: Final = 200  # recordings, at least, whose memory is compared with that of all: enough that each worker has some
 DATE: Final = "Thu, 01 Jan 2026 00:00:00 GMT"
 
 
@@ -89,10 +90,15 @@ class _Bucket(BaseHTTPRequestHandler):
         pass
 
 
+def few(count: int) -> int:
+    """Return how many of some recordings are read first, for comparison."""
+    return max(count // 10, FEW)
+
+
 def _serve(folder: Path, count: int, port: Connection) -> None:
     contents = [path.read_bytes() for path in sorted(folder.iterdir())]
     for number in range(count):
-        part = "few" if number < count // 10 else "others"
+        part = "few" if number < few(count) else "others"
         _Bucket.objects[f"{part}/{number:05}.mcap"] = contents[number % len(contents)]
     server = ThreadingHTTPServer(("127.0.0.1", 0), _Bucket)
     port.send(server.server_port)
@@ -168,7 +174,7 @@ def result(name: str, printed: bytes, work: Path) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bucket", description=__doc__)
-    parser.add_argument("--count", type=int, default=100, help="of recordings (default: %(default)s)")
+    parser.add_argument("--count", type=int, default=2000, help="of recordings (default: %(default)s)")
     parser.add_argument("--only", action="append", choices=commands("", Path()), metavar="NAME")
     options = parser.parse_args()
     count, failed = options.count, False
@@ -196,7 +202,7 @@ def main() -> None:
                     hashes.add(found)
                     failed |= peaks[1] - peaks[0] > MEMORY
                     told.append(
-                        f"{way} {seconds:.0f} s, {peaks[1] / 1e6:.0f} MB ({peaks[0] / 1e6:.0f} MB for {count // 10:,})"
+                        f"{way} {seconds:.0f} s, {peaks[1] / 1e6:.0f} MB ({peaks[0] / 1e6:.0f} MB for {few(count):,})"
                     )
                 failed |= len(hashes) > 1
                 print(f"{what}: {'; '.join(told)}; {'equal' if len(hashes) == 1 else 'DIFFERENT'}", flush=True)

@@ -9,7 +9,8 @@ import os
 import signal
 
 # The matrices here are small: a thread for each core, which numpy starts otherwise, makes commands slower.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if "OPENBLAS_NUM_THREADS" not in os.environ:
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "CARLA_RECAP_ONE_THREAD": "1"}  # see `environment_of_user`
 
 
 def main() -> None:

@@ -104,7 +104,12 @@ class MissingExtra(NotSetUp):
     def __str__(self) -> str:
         if self.extra == "carla" and not _has_carla():
             return f"{self.what} needs CARLA's library, which exists for Python up to 3.12 on Linux (x86-64) and Windows"
-        return f"{self.what} needs an optional dependency: pip install '.[{self.extra}]' in a clone of carla-recap"
+        return f"{self.what} needs an optional dependency: {install_command(self.extra)} in a clone of carla-recap"
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra, in a clone."""
+    return f"pip install '.[{extra}]'"
 
 
 class RecapWarning(UserWarning):

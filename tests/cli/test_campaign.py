@@ -149,6 +149,7 @@ def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
         ([f"{FILE}:drive", "--route-id", "1"], "--route-id goes with --route"),
         ([f"{FILE}:drive", "--route", "gone.xml"], "gone.xml"),
         (["--serve", "gone.py"], "gone.py: is no file"),
+        ([f"{FILE}:drive", "--python", FILE], "--python goes with --serve"),
         ([f"{FILE}:drive", "--report", FILE], "is a file; a folder was expected"),
     ],
 )

@@ -106,10 +106,11 @@ def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
 
 
 def test_a_junit_file_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
-    (tmp_path / "file").touch()
-    for path in (tmp_path / "file" / "out.xml", tmp_path):
-        message = error("check", "absent.mcap", "--rules", RULES, "--junit", path)
-        assert message.startswith(f"{path}: cannot be written: ")
+    (tmp_path / "file").write_bytes(b"a file of mine")
+    for path, said in {"file/out.xml": "cannot be written: ", "": "cannot be written: ", "file": "is no XML"}.items():
+        message = error("check", "absent.mcap", "--rules", RULES, "--junit", tmp_path / path)
+        assert message.startswith(f"{tmp_path / path}: ")
+        assert said in message
 
 
 def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, monkeypatch):
@@ -125,14 +126,15 @@ def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, m
 
 
 def test_pages(runs, tmp_path):
-    done = run(
-        "check", runs, "--rules", RULES, "--html", tmp_path / "out", "--clips", "--junit", tmp_path / "new" / "out.xml"
-    )
+    pages = ("--html", tmp_path / "out", "--clips")
+    done = run("check", runs, "--rules", RULES, "--json", *pages, "--junit", tmp_path / "new" / "out.xml")
     assert (done.returncode, wrote(done.stderr)) == (1, [f"{tmp_path}/out/index.html", f"{tmp_path}/new/out.xml"])
     assert names_in(tmp_path / "out") == ["clips", "index.html", "pages"]
     assert names_in(tmp_path / "out" / "pages") == ["crash.html"]
     assert "1 failed of 2 recordings" in (tmp_path / "out" / "index.html").read_text("utf-8")
-    assert f"page: {tmp_path / 'out' / 'pages' / 'crash.html'}" in (tmp_path / "new" / "out.xml").read_text("utf-8")
+    page = str(tmp_path / "out" / "pages" / "crash.html")
+    assert f"page: {page}" in (tmp_path / "new" / "out.xml").read_text("utf-8")
+    assert [each["page"] for each in json.loads(done.stdout)["recordings"]] == [page, None]
 
 
 def test_pages_without_rules_of_the_road_are_a_warning(tmp_path):

@@ -53,7 +53,7 @@ def test_what_is_missing_is_named_with_the_remedy(monkeypatch, tmp_path):
     assert found["extras"]["sql"] == {"duckdb": None, "pyarrow": None}
     assert found["versions"]["carla"] is None
     text = CliRunner().invoke(doctor_command, []).stdout
-    assert re.search(r"^  sql +missing: \w+, \w+; pip install 'carla-recap\[sql\]'$", text, re.MULTILINE)
+    assert re.search(r"^  sql +missing: \w+, \w+; pip install '\.\[sql\]'$", text, re.MULTILINE)
 
 
 def test_maps_are_listed_with_their_files(monkeypatch, tmp_path):

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.util.processes import is_readable, module_command, module_environment, terminate, wait_or_kill
+from carla_recap.util.processes import (
+    environment_of_user,
+    is_readable,
+    module_command,
+    module_environment,
+    terminate,
+    wait_or_kill,
+)
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -26,6 +33,13 @@ def test_a_module_is_run_with_the_import_path_of_this_process(tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     done = subprocess.run(module_command("mine"), env=module_environment(COLOR="red"), capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "red\n", "")
+
+
+def test_scripts_of_the_user_have_as_many_threads_as_the_user_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+    assert environment_of_user()["OPENBLAS_NUM_THREADS"] == "1"
+    monkeypatch.setenv("CARLA_RECAP_ONE_THREAD", "1")  # as the command line sets it with the other one
+    assert not {"OPENBLAS_NUM_THREADS", "CARLA_RECAP_ONE_THREAD"} & set(environment_of_user())
 
 
 def test_a_process_that_ignores_sigterm_is_killed() -> None:

@@ -42,6 +42,12 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
     "--serve", "script", type=click.Path(), metavar="SCRIPT.py", help="Run this script for CARLA's client instead."
 )
 @options.carla
+@click.option(
+    "--python",
+    type=click.Path(exists=True, dir_okay=False),
+    metavar="PATH",
+    help="The interpreter of SCRIPT.py, such as that of an environment with another client; else this one.",
+)
 @click.option("--out", required=True, metavar="DIR", help="The folder of the recordings, or a prefix of an object store.")
 @click.option("--seeds", default="1", show_default=True, metavar="A:B|N,...", help="The seeds of the worlds.")
 @click.option(
@@ -99,6 +105,8 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
     context = click.get_current_context()
     if (request.function is None) == (request.script is None):
         raise click.UsageError("either FILE.py:FUNCTION or --serve SCRIPT.py was expected.", context)
+    if request.script is None and how["python"] is not None:
+        raise click.UsageError("--python goes with --serve.", context)
     if request.is_search and (request.minimize is None) == (request.maximize is None):
         raise click.UsageError("--search needs either --minimize or --maximize.", context)
     if not request.is_search and request.objective:

@@ -26,7 +26,7 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 @click.command()
 @options.sources
 @click.option("--rules", "rules_file", required=True, type=click.Path(), metavar="FILE", help="The rules, a TOML file.")
-@click.option("--junit", type=click.Path(), metavar="FILE", help="Write the verdicts as JUnit XML.")
+@click.option("--junit", type=click.Path(), metavar="FILE", help="Write the verdicts as JUnit XML, over those of before.")
 @click.option(
     "--html", type=click.Path(), metavar="DIR", help="Write an overview, and the incident page of each recording that fails."
 )
@@ -57,14 +57,13 @@ def check(
     """
     from carla_recap.errors import RecapError
     from carla_recap.fleet.check import check_sources, strict, worst
-    from carla_recap.fleet.junit import write_junit
-    from carla_recap.util.files import prepare_file
+    from carla_recap.fleet.junit import prepare_junit, write_junit
 
     if html is None and clips:
         raise click.UsageError("--clips goes with --html.", click.get_current_context())
     rules = loaded_rules(rules_file)
     if junit:
-        prepare_file(junit)
+        prepare_junit(junit)
     judged: list[CheckedRecording] = []
     checked, is_judged, failures = judged, False, []
     try:
@@ -82,7 +81,7 @@ def check(
                 if room is None
                 else _write_pages(judged, rules, room, messages, clips=clips, road_map=road_map, jobs=request.jobs)
             )
-        checked = shown
+        checked = shown if html is None else [each.in_folder(html) for each in shown]
         messages.end()
     except RecapError as error:
         if not is_judged:
@@ -90,7 +89,7 @@ def check(
         failures.append(error)
     if junit:
         try:
-            write_junit(checked, junit, html)
+            write_junit(checked, junit)
         except RecapError as error:
             failures.append(error)
     _show(checked, rules, form)

@@ -13,6 +13,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, print_json
+from carla_recap.errors import install_command
 from carla_recap.util.text import single_line
 
 _PACKAGE: Final = "carla-recap"
@@ -145,7 +146,7 @@ def _lines(found: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
     for extra, packages in found["extras"].items():
         missing = [name for name, installed in packages.items() if installed is None]
         has = ", ".join(f"{name} {installed}" for name, installed in packages.items())
-        extras.append((extra, f"missing: {', '.join(missing)}; pip install '{_PACKAGE}[{extra}]'" if missing else has))
+        extras.append((extra, f"missing: {', '.join(missing)}; {install_command(extra)}" if missing else has))
     maps = list(found["maps"]["files"].items())
     if found["maps"]["error"]:
         maps.append(("none", f"{found['maps']['folder']}: {found['maps']['error']}"))

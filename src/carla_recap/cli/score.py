@@ -113,10 +113,9 @@ def score(
     Several recordings also get a mean. --json prints the Leaderboard's form of results. The exit code is 1 if a limit is
     not kept, 2 if a recording cannot be scored.
     """
-    from carla_recap.fleet.junit import write_junit
+    from carla_recap.fleet.junit import prepare_junit, write_junit
     from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
     from carla_recap.queries.score import ScoreOptions, read_routes
-    from carla_recap.util.files import prepare_file
 
     if bool(route_files) == from_drive:
         raise click.UsageError("One of --route and --from-drive was expected.", click.get_current_context())
@@ -130,7 +129,7 @@ def score(
     routes = read_routes(*route_files) if route_files else None
     wanted = ScoreOptions(formula=formula, actor=actor, road_map=road_map)
     if junit:
-        prepare_file(junit)
+        prepare_junit(junit)
     outcomes: list[Outcome[Score]] = []
     with ExitStack() as stack:
         found, processes, bar = stack.enter_context(request.opened("scoring"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
@@ -35,8 +36,8 @@ class CheckedRecording:
         frames: The number of its frames.
         duration: Its duration, in s.
         warnings: The warnings, a line each.
-        page: The path of its incident page, relative to the folder of pages; None if it has none.
-        clip: The path of the clip of the first failure, relative to the folder of pages; None if it has none.
+        page: The path of its incident page, relative to the folder of pages until `in_folder`; None if it has none.
+        clip: The path of the clip of the first failure, likewise; None if it has none.
         sensors: The ids of the sensors whose data it has.
     """
 
@@ -53,6 +54,11 @@ class CheckedRecording:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", worst(verdict.status for verdict in self.verdicts))
+
+    def in_folder(self, pages: Path | str) -> CheckedRecording:
+        """Return it with the paths of its page and clip in the folder of pages."""
+        page, clip = (path and Path(pages, path).as_posix() for path in (self.page, self.clip))
+        return replace(self, page=page, clip=clip)
 
     @property
     def idle(self) -> list[Verdict]:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from carla_recap.util.files import WholeFile
+from carla_recap.errors import RecapError
+from carla_recap.util.files import WholeFile, prepare_file, writing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,29 +22,41 @@ if TYPE_CHECKING:
     from carla_recap.rules.rule_sets import Verdict
 
 SUITE: Final = "carla-recap check"
+_HEAD: Final = b"<?xml"
 _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain
 
 
-def write_junit(
-    checked: Sequence[CheckedRecording], path: Path | str, pages: Path | str | None = None, *, suite: str = SUITE
-) -> None:
+def prepare_junit(path: Path | str) -> None:
+    """Create the folder of a file of verdicts; raise `RecapError` if it cannot be written, or is there and is no XML.
+
+    A file of verdicts that is there is replaced, as by all that write JUnit XML.
+    """
+    prepare_file(path)
+    head = b""
+    if Path(path).exists():
+        with writing(path), Path(path).open("rb") as file:
+            head = file.read(len(_HEAD))
+    if not _HEAD.startswith(head):
+        raise RecapError(f"{path}: is there, and is no XML; another name was expected")
+
+
+def write_junit(checked: Sequence[CheckedRecording], path: Path | str, *, suite: str = SUITE) -> None:
     """Write the verdicts on recordings as JUnit XML; the file appears when it is complete.
 
     Args:
         checked: The recordings and the verdicts on them.
         path: The file.
-        pages: The folder of pages.
         suite: The name of the suite.
 
     Raises:
         RecapError: The file cannot be written.
     """
-    content = junit(checked, pages, suite=suite)
+    content = junit(checked, suite=suite)
     with WholeFile(path) as file:
         file.write(content)
 
 
-def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None, *, suite: str = SUITE) -> bytes:
+def junit(checked: Sequence[CheckedRecording], *, suite: str = SUITE) -> bytes:
     """Return the verdicts on recordings as JUnit XML; see `write_junit`."""
     verdicts = [verdict for each in checked for verdict in each.verdicts]
     counts = {
@@ -57,7 +70,7 @@ def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None, 
     tests = SubElement(root, "testsuite", {"name": suite, **counts})
     for each in checked:
         for verdict in each.verdicts:
-            _add(tests, each, verdict, Path(pages or ""))
+            _add(tests, each, verdict)
     indent(root)
     content: bytes = tostring(root, "utf-8", xml_declaration=True)
     return content + b"\n"
@@ -70,7 +83,7 @@ def how_to_see(recording: str, verdict: Verdict) -> str:
     return f"carla-recap view {shlex.quote(f'{recording}#t={verdict.time:.1f}')}"
 
 
-def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Path) -> None:
+def _add(suite: Element, checked: CheckedRecording, verdict: Verdict) -> None:
     names = {"classname": _clean(checked.recording), "name": _clean(verdict.rule)}
     case = SubElement(suite, "testcase", {**names, "time": _seconds(verdict.seconds)})
     if verdict.status == "pass":
@@ -83,9 +96,7 @@ def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Pat
         lines.append(f"actors: {', '.join(map(str, verdict.actors))}")
     if verdict.status == "fail":
         lines.append(f"to see it: {how_to_see(checked.recording, verdict)}")
-        lines += [
-            f"{name}: {(pages / path).as_posix()}" for name, path in (("page", checked.page), ("clip", checked.clip)) if path
-        ]
+        lines += [f"{name}: {path}" for name, path in (("page", checked.page), ("clip", checked.clip)) if path]
     SubElement(case, tag, {"message": _clean(verdict.message), "type": kind}).text = _clean("\n".join(lines))
 
 

@@ -34,6 +34,14 @@ def module_environment(**variables: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys([*path, _SOURCES])), **variables}
 
 
+def environment_of_user() -> dict[str, str]:
+    """Return this process's environment without what the command line has set in it for itself."""
+    found = dict(os.environ)
+    if found.pop("CARLA_RECAP_ONE_THREAD", None) is not None:
+        found.pop("OPENBLAS_NUM_THREADS", None)
+    return found
+
+
 def wait_or_kill(process: subprocess.Popen[Any], patience: float) -> int:
     """Wait until a process has ended, and return its exit code; kill it after `patience` seconds."""
     try:

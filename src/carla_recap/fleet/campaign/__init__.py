@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -71,6 +72,7 @@ class Campaign:
         scoring: How the recordings are scored; None: they get no score.
         again: Make recordings anew that were made with another function, code, town, duration or additional data.
         carla: The release of CARLA that a script is served, such as "0.9.15"; "auto": that of its client.
+        python: The interpreter of a script, as of an environment with another client; None: that of this package.
     """
 
     function: Callable[..., object] | str | Path
@@ -86,6 +88,7 @@ class Campaign:
     scoring: Scoring | None = None
     again: bool = False
     carla: str = "auto"
+    python: str | Path | None = None
 
     @property
     def folder(self) -> DestinationFolder:
@@ -131,7 +134,7 @@ class Campaign:
         is_script = isinstance(self.function, (str, os.PathLike))
         return Simulation(
             function=None if is_script else self.function,  # type: ignore[arg-type]
-            script=os.path.abspath(self.function) if is_script else None,  # type: ignore[arg-type]  # noqa: PTH100
+            script=(os.fspath(self.python or sys.executable), os.path.abspath(self.function)) if is_script else None,  # type: ignore[arg-type]  # noqa: PTH100
             measure=partial(measured, scoring=self.scoring),
             staging=staging,
             date=seeded_date() if self.date is None else self.date,
@@ -159,6 +162,7 @@ class CampaignKeywords(TypedDict, total=False):
     scoring: Scoring | None
     again: bool
     carla: str
+    python: str | Path | None
 
 
 def campaign(

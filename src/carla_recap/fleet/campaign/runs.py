@@ -73,7 +73,7 @@ class Simulation:
     measure: Callable[..., Mapping[str, Result]]  # returns what is measured in a recording
     staging: str | None  # the folder of recordings that are not complete; None for the one of temporary files
     date: int
-    script: str | None = None  # the absolute path of a script for CARLA's client, which gets a server instead
+    script: tuple[str, ...] | None = None  # the command of a script for CARLA's client, which gets a server instead
     town: str | None = None
     maps: str | None = None
     duration: float = 0.0
@@ -163,7 +163,7 @@ class Simulation:
                 if self.script is not None:
                     from carla_recap.fleet.campaign.serving import run_script
 
-                    run_script(self.script, world, run, path, additional_data=self.additional_data, carla=self.carla)
+                    run_script([*self.script], world, run, path, additional_data=self.additional_data, carla=self.carla)
                 elif self.function is not None:
                     self.function(world, **run.parameters)
             finally:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import socket
 import subprocess
-import sys
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
@@ -15,6 +13,7 @@ from carla_recap.server.host import Host
 from carla_recap.server.protocol import release_named
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.serving import serve
+from carla_recap.util.processes import environment_of_user
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,23 +47,23 @@ class _RunHost(Host):
         self.apply_settings(EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=_DELTA))
 
 
-def run_script(script: str, world: World, run: CampaignRun, path: Path, *, additional_data: bool, carla: str) -> None:
-    """Serve a world, whose recorder is on, to a script until that ends; it gets the seed and the parameters of a run."""
+def run_script(command: list[str], world: World, run: CampaignRun, path: Path, *, additional_data: bool, carla: str) -> None:
+    """Serve a world, whose recorder is on, to a script until it ends; it gets the seed and parameters of a run."""
     host = _RunHost(world, path, additional_data=additional_data, carla=carla)
     with asyncio.Runner() as runner:
-        code = runner.run(_session(host, script, run))
+        code = runner.run(_session(host, command, run))
     if code:
         raise RecapError(f"the script ends with exit code {code}")
 
 
-async def _session(host: Host, script: str, run: CampaignRun) -> int:
+async def _session(host: Host, command: list[str], run: CampaignRun) -> int:
     port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
     server = asyncio.create_task(serve(host, _ADDRESS, 0, port.set_result, load_ahead=False))
     await asyncio.wait((server, port), return_when=asyncio.FIRST_COMPLETED)
     if server.done():
         server.result()
         raise RecapError("the server has ended")
-    process = subprocess.Popen(_command(script, run, port.result()), env=_environment(run, port.result()))
+    process = subprocess.Popen([*command, *_arguments(run, port.result())], env=_environment(run, port.result()))
     waiting = asyncio.create_task(asyncio.to_thread(process.wait))
     try:
         await asyncio.wait((server, waiting), return_when=asyncio.FIRST_COMPLETED)
@@ -76,10 +75,10 @@ async def _session(host: Host, script: str, run: CampaignRun) -> int:
     return waiting.result()
 
 
-def _command(script: str, run: CampaignRun, port: int) -> list[str]:
-    """Return the command of a script: with the server, the seed and the parameters as options."""
+def _arguments(run: CampaignRun, port: int) -> list[str]:
+    """Return the server, the seed and the parameters as options of a script."""
     given = {"host": _ADDRESS, "port": str(port), **run.texts}
-    return [sys.executable, script, *(f"--{name}={value}" for name, value in given.items())]
+    return [f"--{name}={value}" for name, value in given.items()]
 
 
 def _environment(run: CampaignRun, port: int) -> dict[str, str]:
@@ -88,7 +87,7 @@ def _environment(run: CampaignRun, port: int) -> dict[str, str]:
         free.bind((_ADDRESS, 0))
         manager = free.getsockname()[1]
     return {
-        **os.environ,
+        **environment_of_user(),
         "CARLA_HOST": _ADDRESS,
         "CARLA_PORT": str(port),
         "CARLA_TM_PORT": str(manager),

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     Reading = tuple[dict[str, Any], list[Columns]]
     Progress = Callable[[Iterable[Outcome[Reading]], int], Iterable[Outcome[Reading]]]
 
-_ROWS: Final = 50_000  # of all tables, that wait to be written, at most
+_ROWS: Final = 20_000  # of all tables, that wait to be written, at most
 _PAUSE: Final = 1.0  # s between two transactions, at least
 _SHARE: Final = 0.2  # of the time of the whole run, that this pause is at least
 _EPOCH: Final = datetime(1970, 1, 1)
