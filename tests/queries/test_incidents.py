@@ -242,6 +242,17 @@ def test_braking_that_does_not_last(tmp_path: Path) -> None:
     assert braked(drive(tmp_path / "wrong.log", wrong)) == []
 
 
+def test_an_emergency_stop_from_a_low_speed_is_hard_braking_and_a_crash_at_it_is_not(tmp_path: Path, suffix: str) -> None:
+    """CARLA's tyres stop a car with 30 m/s² from 6.5 m/s, in 0.22 s; a wall that is recorded or not does so in less."""
+    stop, crash = slowing(30.0, speed=6.5), [6.5] * 20 + [0.0] * 60
+    (row,) = braked(drive(tmp_path / f"stop{suffix}", ways(stop), stop))
+    assert row.text == "vehicle.b (3) brakes hard at 23 km/h"
+    assert row.value == pytest.approx(29.0, abs=1.0)
+    assert braked(drive(tmp_path / f"crash{suffix}", ways(crash), crash)) == []
+    hit = {"at_21": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(stop)[21])]}}
+    assert braked(drive(tmp_path / f"hit{suffix}", ways(stop), stop, **hit)) == []
+
+
 @pytest.mark.parametrize("recorded", [False, True])
 @pytest.mark.parametrize("way", [30_000.0, 600.0, math.nan])
 def test_teleports_are_no_braking(tmp_path: Path, recorded: bool, way: float) -> None:
@@ -285,9 +296,9 @@ def test_an_actor_that_comes_twice_in_a_frame(tmp_path: Path) -> None:
     assert braked(drive(tmp_path / "twice.log", x, **twice)) == braked(drive(tmp_path / "once.log", x))
 
 
-@pytest.mark.parametrize("deceleration", [0.0, -1.0, 15.0, math.inf, math.nan])
+@pytest.mark.parametrize("deceleration", [0.0, -1.0, 34.4, math.inf, math.nan])
 def test_what_is_no_deceleration(make: Make, deceleration: float) -> None:
-    with pytest.raises(RecapError, match="expected one above 0 and below 15 m/s²"):
+    with pytest.raises(RecapError, match="above 0 and below"):
         incidents(make({}), IncidentOptions(deceleration=deceleration))
 
 

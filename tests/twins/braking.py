@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Frame
 
-Interval = tuple[int, float, float]
-"""The vehicle, the start and the end."""
+Interval = tuple[int, float, float, float]
+"""The vehicle, the start, the end, and the greatest deceleration that tyres can do; NaN if they can do nothing of it."""
+TYRES = 3.5 * 9.81  # m/s²
 
 
 def braking(frames: Sequence[Frame], vehicles: Sequence[int], deceleration: float) -> list[Interval]:
@@ -38,35 +39,57 @@ def _of_vehicle(frames: Sequence[Frame], id: int, deceleration: float) -> list[I
         recorded.append((float(known[0]) if known else math.nan, 0.0, 0.0))
         restarts.append(restart)
     # Of what belongs together, every part by itself.
+    slopes, speeds = [math.nan] * len(times), [math.nan] * len(times)
     joined = [belongs(times, places, recorded, row) and restarts[row] == restarts[row + 1] for row in range(len(times) - 1)]
     hard: list[list[int]] = []  # runs of frames
     start = 0
     for stop in [row + 1 for row, follows in enumerate(joined) if not follows] + [len(times)]:
         rows = slice(start, stop)
-        slowing = _decelerations(times[rows], places[rows], recorded[rows])
+        speeds[rows] = [math.hypot(*velocity[:2]) for velocity in velocities(times[rows], places[rows], recorded[rows])]
+        slopes[rows] = _decelerations(times[rows], speeds[rows])
         run: list[int] = []
-        for row, slows in enumerate(slowing, start):
-            run = [*run, row] if slows >= deceleration else []
+        for row in range(start, stop):
+            run = [*run, row] if slopes[row] >= deceleration else []
             if len(run) == 1:
                 hard.append(run)
             elif run:
                 hard[-1] = run
         start = stop
-    found: list[Interval] = []
+
+    def lost(run: list[int]) -> float:
+        return sum((times[row + 1] - times[row]) * (slopes[row] + slopes[row + 1]) / 2 for row in run[:-1])
+
+    def is_enough(run: list[int]) -> bool:
+        return lost(run) >= deceleration * (0.3 - 1e-6)
+
+    def tyres_can(run: list[int]) -> bool:
+        steps = [(speeds[row] - speeds[row + 1]) / (times[row + 1] - times[row]) for row in run[:-1]]
+        return times[run[-1]] - times[run[0]] >= 0.3 - 1e-6 or all(step <= TYRES for step in steps)
+
+    found: list[tuple[float, float]] = []
     for run in hard:
-        first, last = times[run[0]], times[run[-1]]
-        if len(run) < 3 or last - first < 0.3 - 1e-6:
-            continue
-        if found and first - found[-1][2] < 1.0:
-            found[-1] = id, found[-1][1], last
-        else:
-            found.append((id, first, last))
-    return found
+        if len(run) >= 3 and is_enough(run):
+            first, last = times[run[0]], times[run[-1]]
+            if found and 0 <= first - found[-1][1] < 1.0:
+                first = found.pop()[0]
+            found.append((first, last))
+    intervals: list[Interval] = []
+    for first, last in found:
+        parts: list[list[int]] = []
+        for row in sorted((row for run in hard for row in run if first <= times[row] <= last), key=lambda row: times[row]):
+            if slopes[row] > TYRES:
+                continue
+            if parts and row == parts[-1][-1] + 1 and joined[row - 1]:
+                parts[-1].append(row)
+            else:
+                parts.append([row])
+        values = [slopes[row] for part in parts if is_enough(part) and tyres_can(part) for row in part]
+        intervals.append((id, first, last, max(values, default=math.nan)))
+    return intervals
 
 
-def _decelerations(times: list[float], places: list, recorded: list) -> list[float]:
+def _decelerations(times: list[float], speeds: list[float]) -> list[float]:
     """Return the deceleration at each of some frames that belong together; NaN where it is unknown."""
-    speeds = [math.hypot(*velocity[:2]) for velocity in velocities(times, places, recorded)]
     slopes = []
     for row, time in enumerate(times):
         near = [each for each, other in enumerate(times) if abs(each - row) <= 1 or abs(other - time) <= 0.125 + 1e-6]

@@ -1,7 +1,8 @@
 """Hard braking: which vehicles brake hard, when and where.
 
 The deceleration at a moment is the slope of a straight line through the speeds around it, so that a single wrong speed has
-little effect. It must last for a while, so that a sudden stop (in a crash, by a teleport) does not count as braking.
+little effect. Braking is hard if it lasts for 0.3 s, or loses as much speed in less, as an emergency stop from a low speed
+does. What tyres cannot do is a collision's or a teleport's.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, counts, neighbours, runs, slope, steps_joined
+from carla_recap.model.motion import LONGEST_STEP, MAX_DECELERATION, counts, neighbours, runs, slope, steps_joined
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 HARD: Final = 6.0
 """The deceleration from which on braking is hard, in m/s², unless a query asks for another one."""
 HALF_WINDOW: Final = 0.125  # s before and after a moment, of which the speeds count
-SHORTEST: Final = 0.3  # s
+SHORTEST: Final = 0.3  # s in which the least deceleration loses the least speed that counts
 _FEWEST: Final = 3  # frames of hard braking
 _DIGITS: Final = 6  # of decelerations, beyond which they depend on where the frames that are read begin
 _SURE: Final = 0.999  # a deceleration below this share of another one is below it in spite of rounding
@@ -61,6 +62,7 @@ class BrakingDetector:
 
     def __init__(self, vehicles: Collection[int], deceleration: float) -> None:
         self._deceleration = deceleration
+        self._least = deceleration * (SHORTEST - SAME_TIME)  # the speed in m/s that hard braking loses
         self._vehicles = set(vehicles)
         self._others: set[int] = set()  # other ids that frames have listed
         self._listed = b""  # the ids of the latest segment
@@ -98,34 +100,47 @@ class BrakingDetector:
         in_time = (rows[np.argsort(rows["time"], kind="stable")] for rows in of_vehicles if len(rows))
         self._hard_by_id = {rows["id"].item(0): rows.copy() for rows in in_time}
         first, last = _runs(hard, _follow(hard))
-        lasts = hard["time"][last] - hard["time"][first] >= SHORTEST - SAME_TIME
-        lasts &= last - first >= _FEWEST - 1
-        first, last = first[lasts], last[lasts]
-        begin, end = _runs(hard[first], hard["time"][first[1:]] - hard["time"][last[:-1]] < LONGEST_STEP)
+        lost = _lost(hard)
+        enough = (lost[last] - lost[first] >= self._least) & (last - first >= _FEWEST - 1)
+        first, last = first[enough], last[enough]
+        pause = hard["time"][first[1:]] - hard["time"][last[:-1]]  # below 0 where the clock has gone back
+        begin, end = _runs(hard[first], (pause >= 0) & (pause < LONGEST_STEP))
         rows = zip(hard[first[begin]].tolist(), hard["time"][last[end]].tolist(), strict=True)
         return [Braking(id, start, stop, x, y, z, speed) for (id, _, _, start, x, y, z, speed, _), stop in rows]
 
     def hardest(self, id: int, start: float, stop: float) -> tuple[float, float]:
         """Return the greatest deceleration in m/s² of a vehicle within some elapsed seconds, and its time, after `finish`.
 
-        A deceleration above `FIRMEST_BRAKING` counts only if there is no interval below it that is long enough.
+        Of braking that tyres can do in a part alone, the deceleration is that of the part.
         """
         rows = self._hard_of(id, start, stop)
-        rows = rows[possible] if (possible := _can_be_braking(rows)).any() else rows
+        rows = rows[possible] if (possible := self._can_be_braking(rows)).any() else rows
         if not len(rows):
             return math.nan, math.nan
         row = rows[rows["deceleration"].argmax()]
         return round(row["deceleration"].item(), _DIGITS), row["time"].item()
 
     def can_be_braking(self, id: int, start: float, stop: float) -> bool:
-        """Return whether brakes can slow a vehicle down as in some elapsed seconds; True where its frames are unknown."""
+        """Return whether a vehicle brakes hard in some elapsed seconds by its tyres; True where its frames are unknown.
+
+        The deceleration of these is at most `MAX_DECELERATION`; also between any two frames, if it is shorter than 0.3 s.
+        """
         rows = self._hard_of(id, start, stop)
-        return not len(rows) or bool(_can_be_braking(rows).any())
+        return not len(rows) or bool(self._can_be_braking(rows).any())
 
     def _hard_of(self, id: int, start: float, stop: float) -> NDArray[np.void]:
         """Return the frames of a time in which a vehicle brakes hard, after `finish`."""
         rows = self._hard_by_id.get(id, np.zeros(0, _HARD))
         return rows[rows["time"].searchsorted(start) : rows["time"].searchsorted(stop, "right")]
+
+    def _can_be_braking(self, rows: NDArray[np.void]) -> Booleans:
+        """Return which frames of hard braking of a vehicle are of parts that are long enough, and that tyres can do."""
+        found, time, lost = np.zeros(len(rows), np.bool_), rows["time"], _lost(rows)
+        by_tyres = -np.diff(rows["speed"]) <= MAX_DECELERATION * np.diff(time)
+        for first, last in runs(rows["deceleration"] <= MAX_DECELERATION, _follow(rows)):
+            is_long = time[last] - time[first] >= SHORTEST - SAME_TIME
+            found[first : last + 1] = is_long or (by_tyres[first:last].all() and lost[last] - lost[first] >= self._least)
+        return found
 
     def _add(self, buffer: SegmentBuffer, records: NDArray[np.void]) -> int:
         """Add the records of some frames, and return how many are of vehicles."""
@@ -244,12 +259,12 @@ def _follow(rows: NDArray[np.void]) -> Booleans:
     return np.asarray(rows["before"][1:] == rows["frame"][:-1])
 
 
-def _can_be_braking(rows: NDArray[np.void]) -> Booleans:
-    """Return which frames of hard braking are of intervals in which brakes can be as firm, and which are long enough."""
-    found, times = np.zeros(len(rows), np.bool_), rows["time"]
-    for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, _follow(rows)):
-        found[first : last + 1] = times[last] - times[first] >= SHORTEST - SAME_TIME
-    return found
+@np.errstate(invalid="ignore", over="ignore")  # of times that are not finite
+def _lost(rows: NDArray[np.void]) -> Floats:
+    """Return the speed in m/s that is lost up to each frame of hard braking, in frames that follow each other alone."""
+    deceleration = rows["deceleration"]
+    lost = np.diff(rows["time"]) * (deceleration[1:] + deceleration[:-1]) / 2
+    return np.append(0.0, np.cumsum(np.where(_follow(rows), lost, 0.0)))
 
 
 def _runs(rows: NDArray[np.void], goes_on: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

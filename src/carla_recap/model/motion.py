@@ -34,8 +34,8 @@ FAULTY_SPEED: Final = 150.0
 """The speed in m/s from which on a velocity is faulty, recorded or derived: it does not count."""
 GRAVITY: Final = 9.81
 """The acceleration of what falls, in m/s², as Unreal Engine has it."""
-FIRMEST_BRAKING: Final = 15.0
-"""The deceleration in m/s² that no brakes and tyres exceed; a collision does, and faulty records do."""
+MAX_DECELERATION: Final = 3.5 * GRAVITY
+"""The deceleration in m/s² that CARLA's tyres, of friction 3.5, do not exceed; a collision does, and faulty records do."""
 LONGEST_STEP: Final = 1.0
 """The longest time between two frames of an actor from which its motion between them follows, in s."""
 

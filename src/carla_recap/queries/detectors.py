@@ -9,10 +9,10 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar, Final, Literal, TypedDict
 
 from carla_recap.errors import RecapError
-from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, Braking, BrakingDetector
+from carla_recap.model.braking import HALF_WINDOW, HARD, Braking, BrakingDetector
 from carla_recap.model.contacts import UNKNOWN, Contact, Impact
 from carla_recap.model.lives import ROAD_USERS, ranked
-from carla_recap.model.motion import FIRMEST_BRAKING, MOTION, place_in_metres
+from carla_recap.model.motion import MAX_DECELERATION, MOTION, place_in_metres
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker, check_limits
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
@@ -96,7 +96,7 @@ class IncidentOptions:
         road_map: The OpenDRIVE file of this map, or the folder to look in; None: the usual folders.
         min_time: The shortest time without a movement that is a long stop, in s.
         min_distance: The distance at which an actor has moved, in cm.
-        deceleration: The deceleration from which on braking is hard, in m/s²; below 15, of the firmest brakes.
+        deceleration: The deceleration from which on braking is hard, in m/s²; below 34.3, of CARLA's tyres.
         time_to_collision: The greatest time to collision of a near miss, in s; 60 at most.
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
         required_deceleration: The least deceleration that a near miss by its time to collision requires, in m/s²; 0: any.
@@ -106,7 +106,7 @@ class IncidentOptions:
         actor: The actor that has to take part in them; None: any.
 
     Raises:
-        RecapError: A limit of long stops is below 0 or NaN, the deceleration is not above 0 and below 15 m/s², a time of
+        RecapError: A limit of long stops is below 0 or NaN, the deceleration is not above 0 and below 34.3 m/s², a time of
             near misses is below 0 or above 60 s, or the deceleration that they require is below 0.
     """
 
@@ -125,8 +125,8 @@ class IncidentOptions:
 
     def __post_init__(self) -> None:
         check_limits(self.min_time, self.min_distance)
-        if not 0 < self.deceleration < FIRMEST_BRAKING:
-            limits = f"above 0 and below {FIRMEST_BRAKING:g} m/s², of the firmest brakes"
+        if not 0 < self.deceleration < MAX_DECELERATION:
+            limits = f"above 0 and below {MAX_DECELERATION:g} m/s², of CARLA's tyres"
             raise RecapError(f"deceleration is {self.deceleration:g} m/s²; expected one {limits}")
         for name in ("time_to_collision", "post_encroachment_time"):
             if not 0 <= (time := getattr(self, name)) <= LONGEST:
@@ -286,7 +286,7 @@ def listed_braking(source: Reader, deceleration: float) -> list[Braking] | None:
 
 
 class HardBrakingIncidents(Detector):
-    """Finds vehicles that brake hard: not because of a contact, and not harder than brakes can."""
+    """Finds vehicles that brake hard: not because of a contact, and not harder than tyres can."""
 
     def __init__(self, search: Search) -> None:
         deceleration = search.options.deceleration
@@ -317,7 +317,7 @@ class HardBrakingIncidents(Detector):
             later = bisect_right(spans, (row.start, math.inf))
             stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
             in_contact = later > 0 and row.start <= spans[later - 1][1]
-            if not in_contact and stop - row.start >= SHORTEST and life and life.kind == "vehicle":
+            if not in_contact and life and life.kind == "vehicle":
                 yield row, stop
 
     def _looked_up(self, found: Iterable[tuple[Braking, float]]) -> BrakingDetector:

@@ -121,7 +121,8 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             name="hard braking",
             singular="hard braking",
             plural="hard braking",
-            text="a vehicle decelerates by 6 m/s² or more, up to the 15 m/s² of the firmest brakes, for at least 0.3 s",
+            text="a vehicle decelerates by 6 m/s² or more, up to the 34.3 m/s² of CARLA's tyres, for at least 0.3 s, or "
+            "loses as much speed as that, 1.8 m/s, in less",
             measures=(MEASURES["deceleration"],),
             dark="#ffa24d",
             light="#b45a00",

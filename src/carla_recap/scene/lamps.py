@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.motion import FIRMEST_BRAKING, motion_of
+from carla_recap.model.motion import MAX_DECELERATION, motion_of
 from carla_recap.replay.events import Spawned
 from carla_recap.replay.motion import recorded_motion
 from carla_recap.replay.selection import NO_IDS, find
@@ -220,7 +220,7 @@ class _Slowing:
             speed, at = np.take_along_axis(speed, seen, axis=0), time[seen]
             seconds = at[last] - at[first]
             deceleration = (speed[first] - speed[last]) / seconds
-            slows[last] = (deceleration > DECELERATION) & (deceleration < FIRMEST_BRAKING) & (seconds <= _LONGEST)
+            slows[last] = (deceleration > DECELERATION) & (deceleration < MAX_DECELERATION) & (seconds <= _LONGEST)
         kept = max(min(int(np.searchsorted(time[:-1], time[-2] - _SPAN)), len(time) - 2) - 1, 0)  # with the frame before
         self._time, self._motion, self._latest = time[kept:-1], motion[kept:-1], slows[-1]
         return slows[held:, those]

@@ -31,7 +31,8 @@ from carla_recap.formats.mcap import codec, writer
 from carla_recap.formats.mcap import frames as frames_module
 from carla_recap.formats.mcap.codec import encode
 from carla_recap.formats.mcap.index import CHUNK_LIMIT
-from carla_recap.formats.mcap.schema import BRAKING
+from carla_recap.formats.mcap.reader import McapReader
+from carla_recap.formats.mcap.schema import BRAKING, BRAKING_RULE
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import pack
 from carla_recap.model.records import NO_ACTOR, UE4, Spawn, WheelSet
@@ -699,6 +700,12 @@ def test_braking_and_contacts_are_read_from_the_events(struck):
         assert listed_braking(reader, 7) is None
 
 
+def test_hard_braking_by_the_first_rule_is_missed(struck, monkeypatch):
+    assert digest_of(struck)[0] is not None
+    monkeypatch.setattr(McapReader, "metadata", {"braking": "6 1"})
+    assert digest_of(struck)[0] is None
+
+
 @pytest.mark.parametrize(("topic", "kept"), [("/vehicles/braking", [False, True]), ("/collisions/contacts", [True, False])])
 def test_a_digest_that_another_program_left_out_is_missed(struck, topic, kept):
     parts = data_records(struck)
@@ -720,7 +727,7 @@ def test_a_digest_of_more_rows_than_a_file_can_mean_is_missed(tmp_path):
     with create_writer(tmp_path / "bomb.mcap", Header("Town01", 0)) as writer:
         writer.write(Frame(0, 1, 0.0, 1.0, []))
         writer._add_digest([(BRAKING.topic, body)] * 2, codec.head(1, 0.0), (1, 1))
-        writer._digest.metadata = lambda: {"braking": f"6 {2 * 0xFFFF}"}
+        writer._digest.metadata = lambda: {"braking": f"6 {2 * 0xFFFF} {BRAKING_RULE}"}
     with reading(tmp_path / "bomb.mcap") as reader:
         assert reader.digest("braking") is None
 

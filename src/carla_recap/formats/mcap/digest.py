@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.formats.mcap.codec import encode
-from carla_recap.formats.mcap.schema import BRAKING, CONTACTS, STATIONARY, STATIONARY_RULE
+from carla_recap.formats.mcap.schema import BRAKING, BRAKING_RULE, CONTACTS, STATIONARY, STATIONARY_RULE
 from carla_recap.model.braking import HARD, BrakingDetector
 from carla_recap.model.contacts import TYPES as CONTACT_TYPES
 from carla_recap.model.contacts import ImpactTracker
@@ -92,7 +92,7 @@ class Digest:
     def metadata(self) -> dict[str, str]:
         """Return what the extent's metadata say of the digest."""
         intervals = f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count} {STATIONARY_RULE}"
-        braking = f"{HARD:g} {self._braking_count}" if self._detector else ""
+        braking = f"{HARD:g} {self._braking_count} {BRAKING_RULE}" if self._detector else ""
         contacts = f"{self._impact_count}" if self._impacts else ""
         values = {STATIONARY.name: intervals if self._stationary else "", BRAKING.name: braking, CONTACTS.name: contacts}
         return {name: value for name, value in values.items() if value}

@@ -40,6 +40,7 @@ T = TypeVar("T")
 
 _ROWS: Final = 100_000  # of a part of the digest; a larger file may have more, as far as its bytes can mean them
 _LIMITS: Final = {schema.STATIONARY: 2, schema.BRAKING: 1, schema.CONTACTS: 0}  # numbers before that of the rows
+_RULES: Final = {schema.STATIONARY: schema.STATIONARY_RULE, schema.BRAKING: schema.BRAKING_RULE}
 
 
 class McapReader(Reader):
@@ -149,9 +150,8 @@ class McapReader(Reader):
             numbers = tuple(float(number) for number in self.metadata[part].split())
         except (KeyError, ValueError):
             return None
-        limits = _LIMITS[type]
-        rule = (schema.STATIONARY_RULE,) if type is schema.STATIONARY else ()
-        if len(numbers) <= limits or numbers[limits + 1 :] != rule or numbers[limits] > _ROWS + self._source.size // 4:
+        limits, rule = _LIMITS[type], [_RULES[type]] if type in _RULES else []
+        if len(numbers) <= limits or [*numbers[limits + 1 :]] != rule or numbers[limits] > _ROWS + self._source.size // 4:
             return None
         return DigestPart(numbers[:limits], partial(self._listed, type, numbers[limits]))
 

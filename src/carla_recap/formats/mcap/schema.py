@@ -107,7 +107,10 @@ BRAKING: Final = _digest_type(
     "intervals",
     Layout({"id": "u4", "start": "f8", "stop": "f8", **_PLACE, "speed": "f8"}),
 )
-"""Hard braking; the metadata have the deceleration in m/s², and the number."""
+"""Hard braking; the metadata have the deceleration in m/s², the number, and `BRAKING_RULE`."""
+BRAKING_RULE: Final = 2
+"""The rule of hard braking: it lasts for 0.3 s, or loses as much speed in less; by the first rule, whose files have no such
+number, it lasts for 0.3 s."""
 CONTACTS: Final = _digest_type(
     "contacts",
     "/collisions/contacts",
