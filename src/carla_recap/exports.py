@@ -12,12 +12,13 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.sources import split_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from carla_recap.files.datasets import DatasetWriter
     from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorName
     from carla_recap.queries.incidents import IncidentOptions
+    from carla_recap.queries.verdicts import Verdict
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Quality
     from carla_recap.replay import Played
@@ -133,6 +134,7 @@ class ExportKeywords(TypedDict, total=False):
     follow: Follow | None
     view: View
     incidents: IncidentOptions | None
+    verdicts: Sequence[Verdict]
     cameras: Path | str | None
     ghost: Recording | Reader | None
     rig: SensorRig | Path | str | None

@@ -13,7 +13,7 @@ from carla_recap import open_recording
 from carla_recap.output.text import local_date
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, run, the_line, wrote
 from tests.roads.towns import town
-from tests.samples import carla_log, reading
+from tests.samples import ROOT, carla_log, reading
 from tests.waiting import PATIENCE
 
 rerun = pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
@@ -38,6 +38,7 @@ def said(*arguments: object) -> str:
     [
         ("out.rrd", ("--follow", "101")),
         ("out.mcap", ("--to", "foxglove", "--follow", "hero")),
+        ("out.rrd", ("--rules", ROOT / "samples" / "rules.toml")),
         ("tracks.csv", ()),
         ("run.xosc", ()),
         ("trace.mcap", ("--to", "osi")),

@@ -51,6 +51,7 @@ SCHEMAS = {
     "/hero": "carla_recap.v1.Followed",
     "/lights": "carla_recap.v1.ShownLights",
     "/log": "foxglove.Log",
+    "/states": "carla_recap.v1.ShownStates",
 }
 
 
@@ -558,16 +559,21 @@ def test_a_layout_names_only_topics_of_an_export(layout, record):
 
 def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
     paths = [path["value"] for _, config in panels(layout) for path in config.get("paths", [])]
-    assert len(paths) == 7
+    assert len(paths) == 16
     for path in paths:
-        topic, *fields = re.sub(r"\[:\]\{\w+==\$\w+\}", "[:]", path).split(".")
+        topic, *fields = re.sub(r"\{[^}]*\}", "", path).split(".")
         value = crossing[topic][-1][1]
         for field in fields:
             name = field.removesuffix("[:]")
             assert name in value.DESCRIPTOR.fields_by_name
             value = getattr(value, name)[0] if field.endswith("[:]") else getattr(value, name)
-        for name in re.findall(r"\{(\w+)==", path):
-            assert name in crossing["/lights"][0][1].lights[0].DESCRIPTOR.fields_by_name
+            for name in re.findall(r"\{(\w+)==", path):
+                assert (
+                    name
+                    in crossing[topic][0][1]
+                    .DESCRIPTOR.fields_by_name[fields[0].removesuffix("[:]")]
+                    .message_type.fields_by_name
+                )
 
 
 def test_a_layout_follows_from_behind(layout, crossing):

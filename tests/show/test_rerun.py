@@ -307,7 +307,7 @@ def test_incidents_are_lanes_of_states(crossing) -> None:
         states = {}
         for time in (incident.start, incident.stop):
             states[time] = next(state for begin, (state,) in reversed(rows) if begin <= time + 1e-6)
-        assert set(states.values()) == {KINDS[incident.kind].singular}
+        assert set(states.values()) == {f"{KINDS[incident.kind].singular}: {', '.join(map(str, sorted(incident.actors)))}"}
         later = [state for begin, (state,) in rows if begin > incident.stop + 1e-6]
         assert later[:1] == (["none"] if incident.stop < seconds[-1] - 1e-6 else [])
     assert {path for path in crossing.rrd.entities if path.startswith("/incidents/")} == {

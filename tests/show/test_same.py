@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from carla_recap import clip, import_tracks, open_recording
+from carla_recap import check, clip, import_tracks, open_recording
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.replay import Player
+from carla_recap.rules.rule_sets import make_rules
 from carla_recap.scene import opacity, style
 from carla_recap.scene.captions import caption_of
 from carla_recap.scene.lamps import lamps_of_vehicles
@@ -457,3 +458,22 @@ def test_a_parked_car_is_there_once_it_is_on_the_road(shown):
     times, found = shown
     for seen_by in found.values():
         assert [2 in each.places for each in seen_by] == [time > 1.95 for time in times]
+
+
+def test_verdicts_and_incidents_have_the_same_states(tmp_path):
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        verdicts = check(recording, make_rules(collisions={"of": "hero", "max": 0}, duration={"min": 1}))
+        export_rerun(recording, tmp_path / "out.rrd", start=11, duration=5, verdicts=verdicts)
+        export_foxglove(recording, tmp_path / "out.mcap", start=11, duration=5, verdicts=verdicts)
+    rrd, told = Rrd(tmp_path / "out.rrd"), [states for _, states in read(tmp_path / "out.mcap")["/states"]]
+    for states in told:
+        shown = {f"/incidents/{state.name}": state.text for state in states.incidents}
+        shown |= {f"/verdicts/{state.name}": state.text for state in states.verdicts}
+        assert {path: rrd.at(path, "StateChange:state", states.elapsed + 1e-6) for path in shown} == {
+            path: [text] for path, text in shown.items()
+        }
+    broken = next(states for states in told if states.verdicts[0].text == f"fail: {verdicts[0].message}")
+    assert (broken.elapsed, broken.verdicts[1].text) == (pytest.approx(12.1), "pass")
+    for layout in tmp_path.glob("*.json"):
+        assert '"value": "/states.verdicts[1].text"' in layout.read_text()
+    assert len([*tmp_path.glob("*.json")]) == 2

@@ -12,6 +12,7 @@ import click
 from click.core import ParameterSource
 
 from carla_recap.cli import opening, options
+from carla_recap.cli.check import loaded_rules
 from carla_recap.cli.output import counted, note, wants_json, wrote
 from carla_recap.cli.parameter_types import POSITIVE, SIZE, TIME
 from carla_recap.cli.writing import WriteRequest, writes
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from carla_recap.exports import ExportFormat
     from carla_recap.queries.incidents import IncidentOptions
+    from carla_recap.rules.rule_sets import RuleSet
     from carla_recap.show.clips import IncidentClip
     from carla_recap.show.rerun.blueprint import View
 
@@ -49,6 +51,7 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
 @_window
 @options.camera
 @options.shown_kinds
+@click.option("--rules", type=click.Path(), metavar="FILE", help="Show the verdicts of these rules, too; see check.")
 @options.models
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
 @options.rig("Sensors, as JSON: of a dataset, or of rosbag2 besides.")
@@ -59,17 +62,18 @@ def export(
     to: str | None,
     kinds: frozenset[str] | Literal["all"],
     split: dict[str, float] | None,
+    rules: str | None,
     **shown: Any,
 ) -> None:
     """Write recordings in other formats."""
-    shown["incidents"] = options.shown_incidents(kinds)
+    shown["incidents"], shown["verdicts"] = options.shown_incidents(kinds), ()
     context = click.get_current_context()
     is_many = request.has_many or (request.is_into_folder and (to is None or bool(FORMATS[to].suffix)))
     if to is None and is_many:
         raise click.UsageError("--to says what is written to a folder.", context)
     form = find_format(request.destination, to, is_folder=is_many)
     for param in context.command.params:
-        name = "incidents" if param.name == "kinds" else param.name
+        name = {"kinds": "incidents", "rules": "verdicts"}.get(str(param.name), param.name)
         is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
         is_known = name in form.options or (form.dataset and name in _OF_DATASETS)
         if is_given and (name in shown or name in _OF_DATASETS) and not is_known:
@@ -77,7 +81,7 @@ def export(
     if form.dataset:
         _export_dataset(request, form, split, shown)
         return
-    write = partial(_export, form.name, shown)
+    write = partial(_export, form.name, shown, None if rules is None else loaded_rules(rules))
     if not is_many:
         request.write_one(write)
     elif shown["cameras"]:
@@ -107,7 +111,9 @@ def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name
     return WrittenFile(frames=done.frames, seconds=done.seconds)
 
 
-def _export(name: str, shown: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
+def _export(
+    name: str, shown: dict[str, Any], rules: RuleSet | None, source: str, destination: str, force: bool
+) -> WrittenFile:
     from carla_recap.cli.progress import watch_all
     from carla_recap.recording import open_recording
 
@@ -120,6 +126,10 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
         source, shown = opening.timed(source, shown)
     given = {key: value for key, value in shown.items() if key in accepted}
     with open_recording(source) as recording:
+        if rules is not None:
+            from carla_recap.rules.rule_sets import check
+
+            given["verdicts"] = check(recording, rules, road_map=shown["road_map"])
         done = write_export(recording, destination, to=name, progress=watch_all("exporting"), force=force, **given)
     if done.files is None:
         return WrittenFile(frames=done.frames, seconds=done.seconds, hints=done.hints)

@@ -13,13 +13,15 @@ import os
 import re
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import SHORT_NAMES
+from carla_recap.queries.verdicts import Status as Status
+from carla_recap.queries.verdicts import Verdict as Verdict
 from carla_recap.rules.facts import Facts, Offence
 from carla_recap.rules.reading import Reading, hint, shown
 from carla_recap.rules.table import CONDITIONS, PLACE
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.rules.facts import Condition
     from carla_recap.rules.places import Place
-
-Status = Literal["pass", "fail", "error"]
 
 _LARGEST: Final = 1 << 16  # bytes of a file of rules: long keys take quadratic time
 _MOST_DOTS: Final = 256  # dots in a line of it: a key of many names takes quadratic memory
@@ -55,31 +55,6 @@ class RulesError(RecapError):
 
     def __str__(self) -> str:
         return "\n".join(self.faults)
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What a rule says of a recording.
-
-    Attributes:
-        rule: The name of the rule.
-        status: `pass`; `fail`; or `error`, if the recording cannot be judged, as when it is damaged.
-        message: What was found, in one line.
-        time: When the first or the worst offence happens, in elapsed seconds; None if there is none.
-        actors: The ids of its actors.
-        details: The offences, a line each.
-        applies: Whether there was anything to judge; a rule passes if there was not, as without its actors.
-        seconds: How long it took to judge, in s; what several rules need is read for the first of them.
-    """
-
-    rule: str
-    status: Status
-    message: str
-    time: float | None = None
-    actors: tuple[int, ...] = ()
-    details: tuple[str, ...] = ()
-    applies: bool = True
-    seconds: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,7 +147,7 @@ def incidents_around(
 
 
 class PlayedIncidents:
-    """The incidents in the time that is played, without collisions; none if the recording is damaged elsewhere.
+    """The incidents in the time that is played; none if the recording is damaged elsewhere.
 
     Near misses are those of the followed actor, if there is one.
 
@@ -168,7 +168,7 @@ class PlayedIncidents:
             shown = IncidentOptions(kinds=frozenset(KINDS) if roads is not None else kinds_without_roads(), roads=roads)
         else:
             shown = with_roads(player.reader, replace(options, roads=options.roads or roads))
-        self._kinds = kinds_named(shown.kinds) - {"collision"}
+        self._kinds = kinds_named(shown.kinds)
         searched = self._kinds | (set() if self._series is None else {"near miss"})  # with which the measures are found
         with suppress(RecapError):
             self._search = IncidentSearch(

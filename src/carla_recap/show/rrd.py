@@ -13,8 +13,11 @@ from carla_recap.replay import Played, Player
 from carla_recap.util.files import WholeFile, check_folder, new_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from carla_recap.formats.base import Reader
     from carla_recap.queries.incidents import IncidentOptions
+    from carla_recap.queries.verdicts import Verdict
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
@@ -31,6 +34,7 @@ def export_rerun(
     view: View = "chase",
     road_map: RoadMap | None = None,
     incidents: IncidentOptions | None = None,
+    verdicts: Sequence[Verdict] = (),
     cameras: Path | str | None = None,
     ghost: Recording | Reader | None = None,
     force: bool = False,
@@ -46,7 +50,8 @@ def export_rerun(
         duration: The duration in seconds; 0: all of the rest.
         view: The camera that is shown first.
         road_map: The map of the town.
-        incidents: Which incidents are in the log; None: all kinds, those against the rules of the road if the map is given.
+        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is given.
+        verdicts: What rules say of the recording, as `check` returns it: a lane of states for each.
         cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
             makes the camera follow that actor.
         ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
@@ -78,8 +83,16 @@ def export_rerun(
         nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
         WholeFile(destination, force=force) as file,
     ):
-        with piped(blueprint(player, view=view, sizes=sizes), file.write) as stream:
-            played = write(stream, player, road_map=road_map, incidents=incidents, progress=progress, cameras=cameras_of)
+        with piped(blueprint(player, view=view, sizes=sizes, verdicts=bool(verdicts)), file.write) as stream:
+            played = write(
+                stream,
+                player,
+                road_map=road_map,
+                incidents=incidents,
+                verdicts=verdicts,
+                progress=progress,
+                cameras=cameras_of,
+            )
             if other is not None:
                 write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in cameras_of:

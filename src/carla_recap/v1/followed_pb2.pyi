@@ -70,3 +70,21 @@ class ShownLights(_message.Message):
     ahead: ShownLight
     lights: _containers.RepeatedCompositeFieldContainer[ShownLight]
     def __init__(self, elapsed: _Optional[float] = ..., ahead: _Optional[_Union[ShownLight, _Mapping]] = ..., lights: _Optional[_Iterable[_Union[ShownLight, _Mapping]]] = ...) -> None: ...
+
+class ShownState(_message.Message):
+    __slots__ = ("name", "text")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    text: str
+    def __init__(self, name: _Optional[str] = ..., text: _Optional[str] = ...) -> None: ...
+
+class ShownStates(_message.Message):
+    __slots__ = ("elapsed", "incidents", "verdicts")
+    ELAPSED_FIELD_NUMBER: _ClassVar[int]
+    INCIDENTS_FIELD_NUMBER: _ClassVar[int]
+    VERDICTS_FIELD_NUMBER: _ClassVar[int]
+    elapsed: float
+    incidents: _containers.RepeatedCompositeFieldContainer[ShownState]
+    verdicts: _containers.RepeatedCompositeFieldContainer[ShownState]
+    def __init__(self, elapsed: _Optional[float] = ..., incidents: _Optional[_Iterable[_Union[ShownState, _Mapping]]] = ..., verdicts: _Optional[_Iterable[_Union[ShownState, _Mapping]]] = ...) -> None: ...

@@ -11,6 +11,7 @@
 | `/hero`          | carla_recap.v1.Followed   | pose, speed and controls of the followed actor, in each frame           |
 | `/lights`        | carla_recap.v1.ShownLights| the traffic light ahead of it, and all traffic lights                   |
 | `/log`           | foxglove.Log              | events and incidents, as text                                           |
+| `/states`        | carla_recap.v1.ShownStates| to whom incidents of each kind happen, and what breaks a rule           |
 
 Every message is complete: a viewer that seeks reads only the latest message of each topic. Positions are in m, axes
 right-handed: x forward, y left, z up.
@@ -29,10 +30,12 @@ from carla_recap.show.foxglove.layouts import connection_hints, has_panels, layo
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from carla_recap.queries.incidents import IncidentOptions
+    from carla_recap.queries.verdicts import Verdict
     from carla_recap.recording import Recording
     from carla_recap.replay import Follow
     from carla_recap.replay.player import Progress
@@ -50,6 +53,7 @@ def export_foxglove(
     duration: float = 0.0,
     road_map: RoadMap | None = None,
     incidents: IncidentOptions | None = None,
+    verdicts: Sequence[Verdict] = (),
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
@@ -57,13 +61,14 @@ def export_foxglove(
 
     Args:
         source: The recording.
-        destination: The file; it appears when it is complete. Of a recording with images or points of sensors, layouts that
-            show them are written beside it.
+        destination: The file; it appears when it is complete. Of a recording with images or points of sensors, or with
+            verdicts, layouts that show them are written beside it.
         follow: The actor that the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
         start: The beginning, in elapsed seconds; negative: in seconds before the end.
         duration: The number of seconds to export; 0: all of the rest.
         road_map: The map of the town.
-        incidents: Which incidents are in the log; None: all kinds, those against the rules of the road if the map is given.
+        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is given.
+        verdicts: What rules say of the recording, as `check` returns it: a lane of states for each.
         force: Overwrite the file if it exists.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
 
@@ -80,7 +85,7 @@ def export_foxglove(
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
-    messages = RecordingMessages(source, player, road_map, incidents)
+    messages = RecordingMessages(source, player, road_map, incidents, verdicts=verdicts)
     further, clock = passed_topics(reader), LogClock(reader.header)
     names = [topic.name for topic in further]
     start, stop = player.start, player.stop + 2 * SAME_TIME
@@ -93,8 +98,8 @@ def export_foxglove(
             file.write_further(topic, clock.at(elapsed) or 0, data)
         file.end_chunk()  # the times of what follows begin again
         file.write(messages.incidents())
-    if has_panels(further):
-        write_layouts(destination, further)
+    if verdicts or has_panels(further):
+        write_layouts(destination, further, [verdict.rule for verdict in verdicts])
     return messages.played
 
 

@@ -22,6 +22,7 @@ _SUFFIXES: Final = {_FOXGLOVE: ".foxglove.json", _LICHTBLICK: ".lichtblick.json"
 _IMAGES: Final = ("image", "video", "depth", "semantic", "instance", "normals", "flow")
 _IN_A_ROW: Final = 4
 _MOST: Final = 12  # panels of images
+_STATES: Final = "/states"
 _SCENE_SHARE: Final = 62  # % of the height for the panels of the scene, above images
 _LARGEST_DEPTH: Final = 65_535  # mm
 _COLORS: Final = {"points": "intensity", "detections": "velocity"}  # by what the points of a topic are coloured
@@ -64,8 +65,8 @@ def has_panels(topics: Iterable[Topic]) -> bool:
     return any(topic.name.startswith(ROOT) and kind_of(topic.name) in (*_IMAGES, *_COLORS) for topic in topics)
 
 
-def write_layouts(destination: Path | str, topics: Iterable[Topic]) -> dict[str, Path]:
-    """Write the layouts of a recording with sensors beside it, those of an export with panels and points of sensors.
+def write_layouts(destination: Path | str, topics: Iterable[Topic], rules: Iterable[str] = ()) -> dict[str, Path]:
+    """Write the layouts of a recording beside it: those of all exports with its sensors, and with the verdicts of rules.
 
     Returns:
         The layouts, by the viewers that import them.
@@ -78,11 +79,25 @@ def write_layouts(destination: Path | str, topics: Iterable[Topic]) -> dict[str,
     clouds = [name for name in names if kind_of(name) in _COLORS]
     makers: dict[str, Callable[[Layout, list[str], list[str]], Layout]] = {_FOXGLOVE: _foxglove, _LICHTBLICK: _lichtblick}
     files = sensor_layout_files(destination)
+    verdicts = [_verdict_path(index, rule) for index, rule in enumerate(rules)]
     for viewer, path in layout_files().items():
         layout = makers[viewer](json.loads(path.read_text("utf-8")), images, clouds)
+        for config in _configs(layout):
+            if config.get("paths", [{}])[0].get("value", "").startswith(_STATES):
+                config["paths"] = verdicts + config["paths"]
         with WholeFile(files[viewer]) as file:
             file.write(json.dumps(layout, indent=2).encode())
     return files
+
+
+def _configs(layout: Layout) -> Iterable[Layout]:
+    """Return the settings of the panels of a layout of either viewer."""
+    return layout["configById"].values() if "configById" in layout else [p["config"] for p in _panels(layout["content"])]
+
+
+def _verdict_path(index: int, rule: str) -> Layout:
+    """Return the path of a rule's states in a panel of states."""
+    return {"value": f"{_STATES}.verdicts[{index}].text", "label": rule, "enabled": True, "timestampMethod": "receiveTime"}
 
 
 def _foxglove(layout: Layout, images: list[str], clouds: list[str]) -> Layout:

@@ -33,7 +33,7 @@ from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.show.foxglove.ground import MAP
 from carla_recap.show.foxglove.layouts import write_layouts
-from carla_recap.show.foxglove.topics import LOG, TOPICS, RecordingMessages, schema_of
+from carla_recap.show.foxglove.topics import LOG, STATES, TOPICS, RecordingMessages, schema_of
 from carla_recap.util.text import number
 from carla_recap.v1.sensors_pb2 import ActorEntry, ActorTable
 
@@ -173,11 +173,11 @@ class _SensedWriter:
         self._messages = messages
         self._copy = copy
         self._clock = LogClock(source.header)
-        self._log: list[tuple[float, bytes]] = []
+        self._late: list[tuple[float, str, bytes]] = []  # of topics to which incidents add
         self._moments = self._absent = 0
         self._absent_from = 0.0
         for topic in TOPICS:
-            writer.add_topic(topic, group="" if topic.name in (MAP, LOG) else _SCENE)
+            writer.add_topic(topic, group="" if topic.name in (MAP, LOG, STATES) else _SCENE)
         writer.add_topic(Topic(ACTORS, ActorTable.DESCRIPTOR.full_name, partial(schema_of, ActorTable)))
 
     def write(self, scenes: RecordingMessages, moments: Iterable[SensedFrame]) -> None:
@@ -188,8 +188,8 @@ class _SensedWriter:
             write()
         self._copy.write()
         self._add_scene(scenes.incidents())
-        for time, data in sorted(self._log, key=itemgetter(0)):
-            self._writer.write_message(LOG, time, data)
+        for time, topic, data in sorted(self._late, key=itemgetter(0)):
+            self._writer.write_message(topic, time, data)
         for piece in self._source.reader.tail():
             self._writer.write_tail(piece)
 
@@ -222,8 +222,8 @@ class _SensedWriter:
     def _add_scene(self, part: TimedMessages) -> None:
         for time, topic, data, _ in part.in_order():
             elapsed = self._clock.elapsed(time)
-            if topic == LOG:  # incidents come last, and are in order with the rest
-                self._log.append((elapsed, data))
+            if topic in (LOG, STATES):  # incidents come last, and are in order with the rest
+                self._late.append((elapsed, topic, data))
             else:
                 self._writer.write_message(topic, elapsed, data)
 

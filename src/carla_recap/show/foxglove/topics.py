@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -17,19 +19,21 @@ from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import EventText, Level, PlayedIncidents, incident_lines
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
+from carla_recap.scene.lanes import incident_lanes, verdict_lanes
 from carla_recap.show.foxglove import actor_entities, bodies, followed
 from carla_recap.show.foxglove.ground import MAP, MARKS, map_message, mark_messages, town_around
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, ShownScenes, single, timestamps
-from carla_recap.v1.followed_pb2 import Followed, ShownLights
+from carla_recap.v1.followed_pb2 import Followed, ShownLights, ShownState, ShownStates
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from google.protobuf.message import Message
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
+    from carla_recap.queries.verdicts import Verdict
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Player
@@ -40,10 +44,12 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.follow import FollowedSeries
+    from carla_recap.scene.lanes import Lane
     from carla_recap.show.foxglove.messages import Times, TopicMessages
     from carla_recap.util.arrays import Floats, Indices
 
 LOG: Final = "/log"
+STATES: Final = "/states"
 _PROTOBUF: Final = "protobuf"
 
 _MESSAGES: Final[dict[str, type[Message]]] = {
@@ -61,6 +67,7 @@ _MESSAGES: Final[dict[str, type[Message]]] = {
     followed.HERO: Followed,
     followed.LIGHTS: ShownLights,
     LOG: Log,
+    STATES: ShownStates,
 }
 
 
@@ -251,6 +258,7 @@ class RecordingMessages:
         road_map: The map of the town.
         incidents: Which incidents are found; None: all kinds, those against the rules of the road if the map is given.
         uncut: What the recording is a clip of, if that is known.
+        verdicts: What rules say of the recording.
     """
 
     def __init__(
@@ -260,7 +268,9 @@ class RecordingMessages:
         road_map: RoadMap | None,
         incidents: IncidentOptions | None = None,
         uncut: Uncut | None = None,
+        verdicts: Sequence[Verdict] = (),
     ) -> None:
+        self._verdicts = verdicts
         town = town_around(road_map, player, source)
         self._player = player
         header, stops = source.reader.header, stop_points(source.reader)
@@ -282,8 +292,9 @@ class RecordingMessages:
         yield self._messages.end()
 
     def incidents(self) -> TimedMessages:
-        """Return the messages of the incidents, after those of the scenes."""
-        return incident_messages(self._incidents.found(), np.concatenate(self._elapsed), np.concatenate(self._times))
+        """Return the messages of the incidents and verdicts, after those of the scenes."""
+        elapsed, times = np.concatenate(self._elapsed), np.concatenate(self._times)
+        return incident_messages(self._incidents.found(), elapsed, times, self._verdicts)
 
     @property
     def played(self) -> Played:
@@ -291,10 +302,28 @@ class RecordingMessages:
         return self._messages.played
 
 
-def incident_messages(found: Iterable[Incident], elapsed: Floats, times: Times) -> TimedMessages:
-    """Return the incidents that began during some scenes as text, each at the scene at which it began."""
-    lines = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
-    return TimedMessages(lines, times, elapsed)
+def incident_messages(
+    found: Iterable[Incident], elapsed: Floats, times: Times, verdicts: Sequence[Verdict] = ()
+) -> TimedMessages:
+    """Return the incidents of some scenes as text, each at the scene at which it began, and as states, with verdicts."""
+    found = list(found)
+    messages = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
+    lanes = {"incidents": incident_lanes(found, elapsed), "verdicts": verdict_lanes(verdicts, elapsed)}
+    messages += _states(lanes, elapsed)
+    return TimedMessages(messages, times, elapsed)
+
+
+def _states(lanes: dict[str, list[Lane]], elapsed: Floats) -> Iterator[TopicMessages]:
+    """Yield the states of lanes whenever one of them changes, and at the last scene."""
+    changes = [
+        (row, name, index, text) for name in lanes for index, lane in enumerate(lanes[name]) for row, text in lane.states
+    ]
+    now = {name: [ShownState(name=lane.name) for lane in lanes[name]] for name in lanes}
+    for row, those in groupby(sorted([*changes, (len(elapsed) - 1, "", 0, "")]), key=itemgetter(0)):
+        for _, name, index, text in those:
+            if name:
+                now[name][index].text = text
+        yield single(STATES, row, ShownStates(elapsed=elapsed[row].item(), **now))
 
 
 def _log_line(line: Line, row: int, times: Times) -> TopicMessages:

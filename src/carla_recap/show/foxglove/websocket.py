@@ -33,6 +33,7 @@ from carla_recap.show.foxglove.topics import (
     LOG,
     RATE,
     SLACK,
+    STATES,
     TOPICS,
     SceneMessages,
     Sent,
@@ -407,7 +408,8 @@ class _PlayedRecording:
         elapsed = self._clock.elapsed(moment)
         begin = max(elapsed - _LEAD, self._start)
         first = bisect_left(self._incidents, moment, key=lambda sent: sent.time)
-        parts = self._scenes(begin, rate), self._further(elapsed, rate), self._incidents[first:]
+        states = [sent for sent in self._incidents[:first] if sent.topic == STATES][-1:]
+        parts = self._scenes(begin, rate), self._further(elapsed, rate), [*states, *self._incidents[first:]]
         return merge(*parts, key=lambda sent: sent.time)
 
     def _further(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:

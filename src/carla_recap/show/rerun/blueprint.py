@@ -51,6 +51,7 @@ def blueprint(
     view: View = "chase",
     followed: int | None = None,
     sizes: Mapping[int, Triple | None] | None = None,
+    verdicts: bool = False,
 ) -> rrb.Blueprint:
     """Return the arrangement of views for a recording.
 
@@ -60,9 +61,11 @@ def blueprint(
         followed: The actor that they follow; None: the one that the player follows, and without one, they stand still.
             Any other actor needs the axes that `write` adds with `cameras`.
         sizes: What `sizes_of` returns, where it is known.
+        verdicts: Whether verdicts of rules are shown.
     """
-    found = sensors(player.reader)
-    return arranged(camera_views(player, followed=followed, sizes=sizes), view, player.followed, images=image_views(found))
+    images = image_views(sensors(player.reader))
+    cameras = camera_views(player, followed=followed, sizes=sizes)
+    return arranged(cameras, view, player.followed, images=images, verdicts=verdicts)
 
 
 def image_views(sensors: Iterable[RecordedSensor]) -> list[rrb.Spatial2DView]:
@@ -84,6 +87,7 @@ def arranged(
     *,
     live: bool = False,
     images: Sequence[rrb.Spatial2DView] = (),
+    verdicts: bool = False,
 ) -> rrb.Blueprint:
     """Return the arrangement of views around those of the cameras.
 
@@ -93,6 +97,7 @@ def arranged(
         ego: The actor that has plots, if any.
         live: Whether frames are still being added: the viewer then shows the latest one.
         images: The views of the images of cameras.
+        verdicts: Whether verdicts of rules are shown, before the other lanes.
     """
     log = rrb.TextLogView(
         origin=entities.EVENTS,
@@ -103,6 +108,8 @@ def arranged(
     if ego is not None:
         lanes.insert(0, rrb.StateTimelineView(origin=entities.LIGHT_AHEAD, name=f"Light ahead of {ego}"))
     lanes.append(rrb.StateTimelineView(origin=entities.INCIDENTS, name="Incidents"))
+    if verdicts:
+        lanes.insert(0, rrb.StateTimelineView(origin=entities.VERDICTS, name="Verdicts"))
     scene = rrb.Vertical(
         rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
         rrb.Horizontal(rrb.Tabs(*lanes), log, column_shares=[2, 3]),

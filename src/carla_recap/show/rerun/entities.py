@@ -22,6 +22,7 @@ SENSORS: Final = "/world/sensors"
 STATES: Final = "/signals"
 EVENTS: Final = "/events"
 INCIDENTS: Final = "/incidents"
+VERDICTS: Final = "/verdicts"
 EGO: Final = "/ego"
 SPEED: Final = "/ego/speed_kmh"
 ACCELERATION: Final = "/ego/acceleration"
@@ -52,6 +53,11 @@ def actor(id: int) -> str:
 def incidents(kind: str) -> str:
     """Return the path of the states of a kind of incident."""
     return f"{INCIDENTS}/{kind}"
+
+
+def verdict(rule: str) -> str:
+    """Return the path of the states of a rule."""
+    return f"{VERDICTS}/{rr.escape_entity_path_part(rule)}"
 
 
 def ghost(id: int) -> str:

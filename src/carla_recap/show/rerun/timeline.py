@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import ActorKind
 from carla_recap.queries.kinds import KINDS
 from carla_recap.replay import Destroyed, right_handed
@@ -18,6 +17,7 @@ from carla_recap.scene import style
 from carla_recap.scene.ahead import NO_LIGHT
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.captions import EventText, Level, incident_lines
+from carla_recap.scene.lanes import NO_COLOR, NONE, incident_lanes, verdict_lanes
 from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.materials import SIGNAL_LAMPS
 from carla_recap.show.rerun import entities
@@ -28,10 +28,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from carla_recap.queries.incidents import Incident
-    from carla_recap.queries.kinds import IncidentKind
+    from carla_recap.queries.verdicts import Verdict
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedRecords
+    from carla_recap.scene.lanes import Lane
     from carla_recap.scene.materials import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
     from carla_recap.util.arrays import Floats
@@ -50,8 +51,7 @@ _DIAGONALS: Final = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / np.sqrt(2)
 _MARK_WIDTH: Final = 0.1  # m; of the lines of a mark
 _MARK_CORNERS: Final = 24
 
-_NONE: Final = "none"
-_NO_COLOR: Final = (38, 42, 50)
+_COLLISION: Final = KINDS["collision"].singular  # in a live view
 _RING: Final = 1.0  # m; the radius of the ring around the light ahead
 _RING_WIDTH: Final = 0.12  # m
 _RING_CORNERS: Final = 32
@@ -60,60 +60,55 @@ _LABEL: Final = (245, 246, 248)
 
 
 class EventWriter:
-    """Writes the log and the collisions."""
+    """Writes the log and the collisions; of a live view, the lane of collisions, too."""
 
-    def __init__(self, stream: Stream) -> None:
+    def __init__(self, stream: Stream, *, live: bool = False) -> None:
         self._stream = stream
+        self._live = live
         self._text = EventText()
         self._lines = HeldRows(stream, _log_columns)
-        self._incidents = HeldRows(stream, _state_columns)
-        self._lanes: set[str] = set()  # of incidents, that have begun
+        self._states = HeldRows(stream, _state_columns)
         self._collides = False
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         for line in self._text.lines(description.batch.scene(0)):
             self._lines.add(entities.EVENTS, times.point(0), line)
-        collides = any(isinstance(event, Collided) for event in description.batch.events)
-        self._set_collides(collides, times.point(0))
-        if len(description) > 1:
-            self._set_collides(False, times.point(1))
+        if self._live:
+            collides = any(isinstance(event, Collided) for event in description.batch.events)
+            self._set_collides(collides, times.point(0))
+            if len(description) > 1:
+                self._set_collides(False, times.point(1))
         for row, locations in description.marks:
             self._mark(locations, times.point(row))
 
-    def write_incidents(self, found: Iterable[Incident], clock: TimeColumns) -> None:
-        """Write incidents: lines of those that began during the scenes of some times, and a lane of each kind."""
+    def write_incidents(self, found: Iterable[Incident], verdicts: Iterable[Verdict], clock: TimeColumns) -> None:
+        """Write what happens during the scenes of some times: lines of incidents, lanes of their kinds and of verdicts."""
         found = list(found)
         for row, line in incident_lines(found, clock.seconds):
             self._lines.add(entities.EVENTS, clock.point(row), line)
-        seconds = np.maximum.accumulate(clock.seconds)
-        for kind in KINDS.values():
-            happens = np.zeros(len(seconds), np.bool_)
-            for incident in found:
-                if incident.kind == kind.name:
-                    first = np.searchsorted(seconds, incident.start - SAME_TIME)
-                    happens[first : max(first + 1, np.searchsorted(seconds, incident.stop + SAME_TIME, "right"))] = True
-            for row in np.flatnonzero(np.diff(happens, prepend=False)).tolist():
-                self._set_state(kind, bool(happens[row]), clock.point(row))
+        for lane in incident_lanes(found, clock.seconds):
+            self._write_lane(entities.incidents(lane.name), lane, clock)
+        for lane in verdict_lanes(verdicts, clock.seconds):
+            self._write_lane(entities.verdict(lane.name), lane, clock)
+
+    def _write_lane(self, path: str, lane: Lane, clock: TimeColumns) -> None:
+        colors = {text: lane.color for _, text in lane.states} | dict([lane.calm])
+        self._stream.log_static(path, rr.StateConfiguration(values=[*colors], colors=[*colors.values()]))
+        for row, text in lane.states:
+            self._states.add(path, clock.point(row), text)
 
     def _set_collides(self, collides: bool, time: TimePoint) -> None:
         if collides != self._collides:
             self._collides = collides
-            self._set_state(KINDS["collision"], collides, time)
-
-    def _set_state(self, kind: IncidentKind, happens: bool, time: TimePoint) -> None:
-        """Write whether an incident of a kind happens from a time on, in the lane of the kind."""
-        path = entities.incidents(kind.option)
-        if path not in self._lanes:
-            self._lanes.add(path)
-            colors = tuple(bytes.fromhex(kind.dark[1:])), _NO_COLOR
-            self._stream.log_static(path, rr.StateConfiguration(values=[kind.singular, _NONE], colors=colors))
-        self._incidents.add(path, time, kind.singular if happens else _NONE)
+            path, colors = entities.incidents(_COLLISION), [style.COLLISION, NO_COLOR]
+            self._stream.log_static(path, rr.StateConfiguration(values=[_COLLISION, NONE], colors=colors))
+            self._states.add(path, time, _COLLISION if collides else NONE)
 
     def flush(self) -> None:
         """Write what is held back."""
         self._lines.flush()
-        self._incidents.flush()
+        self._states.flush()
 
     def _mark(self, locations: Floats, time: TimePoint) -> None:
         """Show marks: each one is a ring on the ground with a cross in it, which hide nothing."""
@@ -194,7 +189,7 @@ class LightAheadWriter:
         self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
         self._changes = HeldRows(stream, _state_columns)
-        self._colors: dict[str, Color] = {_NONE: _NO_COLOR}
+        self._colors: dict[str, Color] = {NONE: NO_COLOR}
 
     def write(self, description: SceneDescription, times: TimeColumns, followed: FollowedRecords) -> None:
         """Write scenes, given what is recorded of the followed actor."""
@@ -216,7 +211,7 @@ class LightAheadWriter:
     def _change(self, now: tuple[int, int] | None, pose: Floats | None, seen_from: Floats, time: TimePoint) -> None:
         """Note which light is ahead, with its state, and show it, given the poses of the light and of the actor."""
         before, self._last, self._begun = self._last, now, True
-        text, color = _NONE, _NO_COLOR
+        text, color = NONE, NO_COLOR
         if now is not None:
             name, color = style.light(now[1])
             text = f"light {now[0]}: {name}"

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
+    from carla_recap.queries.verdicts import Verdict
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
@@ -102,7 +103,7 @@ class SceneWriter:
         self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras)
         self._describer = SceneDescriber(signs=town is None)
         self._lights = TrafficLightWriter(self._stream)
-        self._events = EventWriter(self._stream)
+        self._events = EventWriter(self._stream, live=live)
         self._followed: FollowedWriter | None = None
         if followed is not None:
             self.follow(followed)
@@ -140,9 +141,9 @@ class SceneWriter:
                 self._stream.log(entities.GROUND, times.point(0), rr.Transform3D(translation=point))
                 return
 
-    def write_incidents(self, found: Iterable[Incident], clock: TimeColumns) -> None:
-        """Write the incidents that began during the scenes of some times."""
-        self._events.write_incidents(found, clock)
+    def write_incidents(self, found: Iterable[Incident], verdicts: Iterable[Verdict], clock: TimeColumns) -> None:
+        """Write incidents and verdicts, given the times of all scenes."""
+        self._events.write_incidents(found, verdicts, clock)
 
     def flush(self) -> None:
         """Write what is held back."""
@@ -214,6 +215,7 @@ def write(
     *,
     road_map: RoadMap | None = None,
     incidents: IncidentOptions | None = None,
+    verdicts: Iterable[Verdict] = (),
     progress: Progress | None = None,
     cameras: Collection[int] = (),
 ) -> Played:
@@ -223,7 +225,8 @@ def write(
         stream: A file, a viewer or a pipe.
         player: The player of the recording.
         road_map: The map of the town.
-        incidents: Which incidents are in the log; None: all kinds, those against the rules of the road if the map is given.
+        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is given.
+        verdicts: What rules say of the recording.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
         cameras: Ids of other actors than the followed one that get the axes of a camera, too.
 
@@ -248,7 +251,7 @@ def write(
         if measured is not None:
             measured.write(clocks[-1])
     clock = TimeColumns.joined([TimeColumns.of_points(()), *clocks])
-    writer.write_incidents(played.found(), clock)
+    writer.write_incidents(played.found(), verdicts, clock)
     series = played.series()
     if series is not None:
         write_measures(Stream(stream), clock, series)
