@@ -20,7 +20,8 @@ from carla_recap import RecapError, RecapWarning, SensorRig, export
 from carla_recap.files import nuscenes
 from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
-from carla_recap.sensors.sensing import DETECTION, Sample, sense
+from carla_recap.sensors.ray_sensors import DETECTION
+from carla_recap.sensors.sensing import Sample, sense
 from tests.files.readers import kitti_calibration, kitti_labels, size_of
 from tests.samples import ROOT
 from tests.sensors.cars import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive

@@ -19,7 +19,8 @@ import pytest
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import process as process_module
 from carla_recap.rendering.camera import DrawnView
-from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
+from carla_recap.rendering.process import RenderProcess, RenderProcessNotStarted
+from carla_recap.util.child import ChildEnded
 from tests.rendering.shapes import ALL, MODELS, PLANE, RGB, boxes, camera, create
 from tests.waiting import PATIENCE, wait_until
 
@@ -87,7 +88,7 @@ def test_what_cannot_be_drawn_is_an_error_of_that_picture_alone(process: RenderP
     with pytest.raises(RecapError, match="100000 x 10 pixels"):
         process.draw(DrawnView(replace(camera(), width=100_000, height=10)))
     broken = replace(BOXES, ids=np.zeros(7, np.uint32))
-    with pytest.raises(RecapError, match="drawing has failed"):
+    with pytest.raises(RecapError, match="the request has failed"):
         process.draw(DrawnView(camera(), without=frozenset((3,))), broken)
     assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
 
@@ -97,7 +98,7 @@ def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: R
     pid = process.pid
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
-    with pytest.raises(RenderProcessEnded, match="exit code -9") as raised:
+    with pytest.raises(ChildEnded, match="exit code -9") as raised:
         process.draw(DrawnView(camera()), BOXES)
     assert "\n" not in str(raised.value)
     assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
@@ -128,7 +129,7 @@ def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies(driv
         os.kill(process.pid, signal.SIGSTOP)
         first, second = submit_two(process)
         os.kill(process.pid, signal.SIGKILL)
-        with pytest.raises(RenderProcessEnded, match="exit code -9"):
+        with pytest.raises(ChildEnded, match="exit code -9"):
             first.result(PATIENCE)
         assert second.result(PATIENCE)[0][RGB].any()
 
@@ -142,7 +143,7 @@ def test_a_process_that_dies_again_is_started_again_later(driver: None, monkeypa
                 process.draw(DrawnView(camera()), BOXES)  # starts another
             assert process.pid is not None
             os.kill(process.pid, signal.SIGKILL)
-            with pytest.raises(RenderProcessEnded, match="exit code -9"):
+            with pytest.raises(ChildEnded, match="exit code -9"):
                 process.draw(DrawnView(camera()), BOXES)
         with pytest.raises(RenderProcessNotStarted, match="not started again yet"):
             process.draw(DrawnView(camera()), BOXES)
@@ -154,14 +155,14 @@ def test_a_process_that_dies_again_is_started_again_later(driver: None, monkeypa
 def test_pauses_between_restarts_in_vain_grow(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> None:
         starts.append(now)
-        raise RenderProcessEnded("killed")
+        raise ChildEnded("killed")
 
     now, starts = 100.0, list[float]()
     monkeypatch.setattr(process_module, "monotonic", lambda: now)
     with RenderProcess(None, models=MODELS) as process:
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
-        with pytest.raises(RenderProcessEnded, match="exit code -9"):
+        with pytest.raises(ChildEnded, match="exit code -9"):
             process.draw(DrawnView(camera()), BOXES)
         monkeypatch.setattr(process, "_start", fail)
         while now < 300.0:

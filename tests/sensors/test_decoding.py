@@ -22,8 +22,9 @@ from carla_recap.formats.base import TopicMessage
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.sensors.decoding import LARGEST_SIDE, Calibration, SensorDecoder, StoredImages
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages
+from carla_recap.sensors.ray_sensors import POINT
 from carla_recap.sensors.rig import SensorRig
-from carla_recap.sensors.sensing import POINT, Sample
+from carla_recap.sensors.sensing import Sample
 from tests.samples import drive
 from tests.sensors.made import HEADER, HEIGHT, POSE, WIDTH, picture, sample
 

@@ -12,8 +12,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.sensors.encoding import bgrx, millimetres, png
+from carla_recap.sensors.ray_sensors import DETECTION, POINT, SEMANTIC_POINT
 from carla_recap.sensors.rig import SensorRig
-from carla_recap.sensors.sensing import DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample, SensedFrame
+from carla_recap.sensors.sensing import FIX, INERTIA, Sample, SensedFrame
 from carla_recap.v1.sensors_pb2 import ImuReading, SpeedReading
 
 pytest.importorskip("foxglove_schemas_protobuf")

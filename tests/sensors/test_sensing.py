@@ -242,22 +242,6 @@ def test_a_speedometer_measures_along_the_carrier_however_it_is_mounted(tmp_path
             assert float(frame.samples["speed"].data) == pytest.approx(10, abs=0.05)
 
 
-def test_rays_that_are_cast_in_parts_hit_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = drive(tmp_path / "drive.mcap")
-    lidar = {"type": "sensor.lidar.ray_cast", "id": "lidar", "x": 0, "y": 0, "z": 2, "points_per_second": 20_000}
-    radar = {"type": "sensor.other.radar", "id": "radar", "x": 2, "y": 0, "z": 1}
-    tags = {"type": "sensor.lidar.ray_cast_semantic", "id": "tags", "x": 0, "y": 0, "z": 2, "points_per_second": 20_000}
-    found = []
-    for rays in (1 << 14, 7, 1000):
-        monkeypatch.setattr("carla_recap.sensors.sensing._RAYS_OF_A_PART", rays)
-        with carla_recap.open_recording(path) as recording:
-            frames = list(carla_recap.sense(recording, SensorRig.of([lidar, radar, tags])))
-        found.append([(id, sample.data.tobytes()) for frame in frames for id, sample in frame.samples.items()])
-    assert len(found[0]) == 9
-    assert all(data for _, data in found[0])
-    assert found[0] == found[1] == found[2]
-
-
 def lives(path: Path) -> Path:
     """Write a recording: a hero from 1 s to 2 s, and another one from 3 s on; one pose is not a number."""
     with carla_recap.create_recording(path, map_name="Brickfield", date=0) as recorder:

@@ -16,8 +16,9 @@ import carla_recap
 from carla_recap import RecapError, RecapWarning, export_sensed, open_recording
 from carla_recap.editing.convert import convert
 from carla_recap.replay.recorded_map import load_map_of
+from carla_recap.sensors.ray_sensors import SEMANTIC_POINT
 from carla_recap.sensors.rig import SensorRig
-from carla_recap.sensors.sensing import SEMANTIC_POINT, sense
+from carla_recap.sensors.sensing import sense
 from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.foxglove.layouts import write_layouts
 from tests.replay.scripts import write

@@ -11,7 +11,8 @@ from carla_recap.model.packets import pose
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay.pose import ANGULAR_MIRROR, MIRROR, right_handed
 from carla_recap.sensors.cameras import decoded
-from carla_recap.sensors.sensing import DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample
+from carla_recap.sensors.ray_sensors import DETECTION, POINT, SEMANTIC_POINT
+from carla_recap.sensors.sensing import FIX, INERTIA, Sample
 
 if TYPE_CHECKING:
     import carla

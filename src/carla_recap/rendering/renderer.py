@@ -93,7 +93,7 @@ class Renderer:
             supersampling = (1, 2) if self._is_epic else 1
         samples = (supersampling, supersampling) if isinstance(supersampling, int) else supersampling
         self._samples = max(1, min(4, samples[0])), max(1, min(4, samples[1]))
-        self._context = _create_context()
+        self._context = create_context()
         self._programs: dict[Any, Any] = {}
         self._arrays: dict[Any, Any] = {}
         self._targets: OrderedDict[tuple[int, int], ImageBuffers] = OrderedDict()
@@ -437,7 +437,7 @@ def drawing_device() -> dict[str, str]:
         MissingExtra: moderngl is not installed.
         RecapError: OpenGL cannot be used.
     """
-    context = _create_context()
+    context = create_context()
     try:
         info = context.info
         names = {"device": "GL_RENDERER", "vendor": "GL_VENDOR", "version": "GL_VERSION"}
@@ -458,7 +458,13 @@ def _egl_vendor() -> str:
     return (vendor or b"").decode("ascii", "replace")
 
 
-def _create_context() -> Any:
+def create_context() -> Any:
+    """Return a context of OpenGL without a window.
+
+    Raises:
+        MissingExtra: moderngl is not installed.
+        RecapError: There is no driver.
+    """
     try:
         import moderngl
     except ImportError:

@@ -9,12 +9,9 @@ with carla_recap.open_recording("crash.mcap") as recording:
 from __future__ import annotations
 
 import math
-import os
 import warnings
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -26,7 +23,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, find_actor, heroes_of
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import CM
-from carla_recap.rendering.rays import SurfaceHits
+from carla_recap.rendering.process import DRAWING
 from carla_recap.replay import Player
 from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.pose import ANGULAR_MIRROR, LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
@@ -34,15 +31,16 @@ from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads.files import read_text
 from carla_recap.scene.actor_instances import described_instances
 from carla_recap.scene.description import SceneDescriber
-from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
 from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, acceleration_at, geo_reference
+from carla_recap.sensors.ray_sensors import RAY_KINDS, RAYS, RayProcess
+from carla_recap.sensors.ray_sensors import Moment as RayMoment
+from carla_recap.util.child import started_ahead
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Sequence
-    from concurrent.futures import Future
+    from collections.abc import Generator, Iterable
     from pathlib import Path
     from typing import Unpack
 
@@ -51,27 +49,17 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorName
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.rays import RayScene
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
     from carla_recap.scene.description import SceneDescription, Uncut
-    from carla_recap.scene.instances import Instances
     from carla_recap.sensors.carrier_motion import Motion
     from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig, SensorSpec
     from carla_recap.util.arrays import Floats
 
 
-POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
-"""A point of a lidar: x forward, y left, z up in m; the intensity from 0 to 1."""
-SEMANTIC_POINT: Final = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")]
-)
-"""A point of a semantic lidar: x forward, y left, z up in m; the cosine of the incident angle; the actor or 0; the tag."""
-DETECTION: Final = np.dtype([("velocity", "<f4"), ("azimuth", "<f4"), ("altitude", "<f4"), ("depth", "<f4")])
-"""A detection of a radar: velocity in m/s, positive away; angles to the left and upwards in radians; depth in m."""
 FIX: Final = np.dtype([("latitude", "<f8"), ("longitude", "<f8"), ("altitude", "<f8")])
 """A position: latitude and longitude in degrees, altitude in m."""
 INERTIA: Final = np.dtype([("acceleration", "<f8", (3,)), ("angular_velocity", "<f8", (3,)), ("compass", "<f8")])
@@ -81,9 +69,6 @@ _AHEAD: Final = 3  # moments whose images are drawn while the one before is used
 _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
 _USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
-_RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
-_RAYS_OF_A_PART: Final = 1 << 16  # cast by one thread at a time
-_MOST_THREADS: Final = 3  # that cast rays; more wait for Python's lock
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,16 +219,10 @@ class _Town:
 
 
 class _Moment(NamedTuple):
-    """What a moment is sensed with."""
+    """A moment of the carrier."""
 
-    scene: Scene
-    # the velocities of its `ids` in m/s, right-handed, (ids, 3), or 0; None if no sensor needs them
-    velocities: Floats | None
-    step: float  # the seconds since the one before; at first, those that are usual
-    instances: Instances  # what is drawn of the actors
-    motion: Motion | None  # the motion of the carrier; None if no sensor needs it
-    pose: Floats  # of the carrier in m and degrees, right-handed
-    carrier: frozenset[int]  # the carrier and what is attached to it, which rays do not meet
+    motion: Motion | None  # its motion; None if no sensor needs it
+    pose: Floats  # its pose in m and degrees, right-handed
 
 
 _Instrument = Callable[[_Moment, "Floats"], "NDArray[Any]"]
@@ -302,8 +281,7 @@ class _Sensing:
         self._motions: dict[int, CarrierMotion] = {}
         self._scene_motion = SceneMotion() if any(spec.kind == "radar" for spec in self._rig) else None
         self._cameras: RigCameras | None = None
-        self._rays: _RayCaster | None = None
-        self._measuring = ThreadPoolExecutor(1, "carla-recap-sensing")  # of lidars and radars, moment by moment
+        self._rays: RayProcess | None = None
         self._instruments: dict[str, _Instrument] = {}
         self._carrier: int | None = None
 
@@ -311,7 +289,6 @@ class _Sensing:
         """Yield the moments; images are drawn some moments ahead."""
         with ExitStack() as stack:
             self._open(stack)
-            stack.callback(self._measuring.shutdown, cancel_futures=True)
             waiting: deque[Callable[[], SensedFrame]] = deque()
             before = None
             sizes = [int(spec.number("image_size_x") * spec.number("image_size_y")) for spec in self._rig if spec.image]
@@ -328,15 +305,16 @@ class _Sensing:
     def _open(self, stack: ExitStack) -> None:
         """Start what draws, and make the instruments; those that cannot work are left out with a warning."""
         kinds = {spec.kind for spec in self._rig}
-        for name, those in (("cameras", ("camera",)), ("lidars and radars", _RAY_KINDS)):
-            if not kinds.isdisjoint(those):
+        casting = kinds.intersection(RAY_KINDS)
+        with started_ahead(*([DRAWING] if "camera" in kinds else []), *([RAYS] if casting else [])):
+            for name, those in (("cameras", kinds & {"camera"}), ("lidars and radars", casting)):
                 try:
                     if "camera" in those:
                         self._cameras = RigCameras(stack.enter_context(self._renderer()))
-                    else:
-                        self._rays = stack.enter_context(closing(self._ray_sensors()))
+                    elif those:
+                        self._rays = stack.enter_context(closing(self._ray_process()))
                 except RecapError as error:
-                    if kinds <= set(those):
+                    if kinds <= those:
                         raise
                     warnings.warn(f"{name} measure nothing: {error}", RecapWarning, stacklevel=2)
         for spec in self._rig:
@@ -350,13 +328,10 @@ class _Sensing:
 
         return RenderProcess(self._town.mesh, quality=self._quality)
 
-    def _ray_sensors(self) -> _RayCaster:
-        from carla_recap.rendering.rays import RayScene
-        from carla_recap.scene.models import MODELS
-
+    def _ray_process(self) -> RayProcess:
         town = self._town.mesh()
-        scene = RayScene(town.tiles if town is not None else (), MODELS)
-        return _RayCaster(scene, {spec.id: _RAY_SENSORS[spec.kind](spec) for spec in self._rig if spec.kind in _RAY_KINDS})
+        specs = [spec for spec in self._rig if spec.kind in RAY_KINDS]
+        return RayProcess(town.tiles if town is not None else (), specs)
 
     def _begin(self, scene: Scene, before: Scene | None) -> Callable[[], SensedFrame]:
         """Begin to sense a moment; return what waits for the images."""
@@ -371,20 +346,22 @@ class _Sensing:
         motion: Motion | None = None
         placed: list[PlacedSensor] = []
         values: dict[str, NDArray[Any]] = {}
-        points: Future[dict[str, NDArray[np.void]]] | None = None
+        rays: RayProcess | None = None
         if carrier is not None and (np.abs(pose) < FAR).all():  # not so if any is NaN
             due = [row for row, spec in enumerate(self._rig) if self._clocks[spec.id].is_due(scene.time)]
             if due:
                 poses = right_handed(attach(left_handed(pose), self._mounts[due]))
                 instances = described_instances(description, marks=False)
                 motion = self._motion_of(carrier).at(scene.time) if self._needs_motion else None
-                step, around = self._step(scene, before), _with_attached(scene, carrier)
-                moment = _Moment(scene, moving, step, instances, motion, pose, around)
+                moment = _Moment(motion, pose)
                 placed = [PlacedSensor(self._rig[row], own) for row, own in zip(due, poses, strict=True)]
                 cameras = [sensor for sensor in placed if sensor.spec.kind == "camera"]
-                casting = [sensor for sensor in placed if sensor.spec.kind in _RAY_KINDS]
+                casting = [(sensor.spec.id, sensor.pose) for sensor in placed if sensor.spec.kind in RAY_KINDS]
                 if casting and self._rays is not None:
-                    points = self._measuring.submit(self._rays.begin(casting, moment))
+                    rays = self._rays
+                    others = instances.take(~np.isin(instances.ids, list(_with_attached(scene, carrier))))
+                    velocity = None if motion is None else motion.velocity
+                    rays.begin(RayMoment(casting, self._step(scene, before), others, scene.ids, moving, velocity))
                 if cameras and self._cameras is not None:
                     images = self._cameras.submit(cameras, instances, scene, _boxes_around(description, carrier))
                 for spec, own in placed:
@@ -392,8 +369,8 @@ class _Sensing:
                         values[spec.id] = self._instruments[spec.id](moment, own)
 
         def finished() -> SensedFrame:
-            if points is not None:
-                values.update(points.result())
+            if rays is not None:
+                values.update(rays.points())
             for wait in images:
                 values.update(wait())
             samples = {}
@@ -459,125 +436,6 @@ def _boxes_around(description: SceneDescription, carrier: int) -> Callable[[Sens
 
 
 # --- instruments: what measures without being drawn --------------------------------------------------------------------
-
-
-class _RaySensor(ABC):
-    """A lidar or radar. Its moments come in order of time."""
-
-    beams: LidarBeams | RadarBeams
-
-    def __init__(self, spec: SensorSpec) -> None:
-        self._interval = spec.number("sensor_tick")
-        self.reach = spec.number("range")
-
-    def rays(self, moment: _Moment) -> Floats:
-        """Return the directions of the rays in its axes, CARLA's, (n, 3)."""
-        return self.beams.rays(min(max(moment.step, self._interval), _LONGEST))
-
-    @abstractmethod
-    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
-        """Return what it measures."""
-
-
-class _RayCaster:
-    """Casts the rays of the lidars and radars of a rig, in several threads."""
-
-    def __init__(self, scene: RayScene, sensors: Mapping[str, _RaySensor]) -> None:
-        self._scene = scene
-        self._sensors = sensors
-        self._threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-rays")
-
-    def begin(self, due: Sequence[PlacedSensor], moment: _Moment) -> Callable[[], dict[str, NDArray[np.void]]]:
-        """Begin to cast the rays of a moment, which do not hit the carrier; return what waits for what sensors measure."""
-        others = moment.instances.take(~np.isin(moment.instances.ids, list(moment.carrier)))
-        begun = []
-        for spec, pose in due:
-            sensor = self._sensors[spec.id]
-            rays, place, turn = sensor.rays(moment), pose[LOCATION], MIRROR[:, None] * rotations(pose).T
-            firsts = range(0, max(len(rays), 1), _RAYS_OF_A_PART)
-            parts = [rays[first : first + _RAYS_OF_A_PART] for first in firsts]
-            cast = [self._threads.submit(self._cast, place, turn, part, sensor.reach, others) for part in parts]
-            begun.append((sensor, spec.id, pose, rays, firsts, cast))
-
-        def measured() -> dict[str, NDArray[np.void]]:
-            return {
-                id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
-                for sensor, id, pose, rays, firsts, cast in begun
-            }
-
-        return measured
-
-    def _cast(self, place: Floats, turn: Floats, rays: Floats, reach: float, others: Instances) -> SurfaceHits:
-        return self._scene.cast(place, rays @ turn, reach, others)
-
-    def close(self) -> None:
-        """End the threads."""
-        self._threads.shutdown(cancel_futures=True)
-
-
-def _warn_of(spec: SensorSpec) -> Callable[[str], None]:
-    return lambda text: warnings.warn(f"sensor {spec.id!r}: {text}", RecapWarning, stacklevel=2)
-
-
-def _points(hits: SurfaceHits, directions: Floats, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return the points of hits, right-handed; other fields are 0."""
-    points = np.zeros(len(hits.ray), dtype)
-    places = directions[hits.ray] * hits.distance[:, None] * MIRROR
-    for axis, name in enumerate("xyz"):
-        points[name] = places[:, axis]
-    return points
-
-
-class _Lidar(_RaySensor):
-    def __init__(self, spec: SensorSpec) -> None:
-        super().__init__(spec)
-        self.beams, self._returns = LidarBeams(spec.number, _warn_of(spec)), LidarReturns(spec.number)
-
-    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
-        hits, intensity = self._returns.of(hits)
-        points = _points(hits, directions, POINT)
-        points["intensity"] = intensity
-        return points
-
-
-class _SemanticLidar(_RaySensor):
-    def __init__(self, spec: SensorSpec) -> None:
-        super().__init__(spec)
-        self.beams = LidarBeams(spec.number, _warn_of(spec))
-
-    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
-        points = _points(hits, directions, SEMANTIC_POINT)
-        points["cosine"], points["actor"], points["tag"] = hits.cosine, hits.actor, hits.tag
-        return points
-
-
-class _Radar(_RaySensor):
-    def __init__(self, spec: SensorSpec) -> None:
-        super().__init__(spec)
-        self.beams = RadarBeams(spec.number, _warn_of(spec))
-
-    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
-        ids, velocities = moment.scene.ids, moment.velocities
-        rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
-        assert moment.motion is not None
-        assert velocities is not None
-        towards = np.zeros((len(hits.actor), 3))
-        if len(ids):
-            towards = np.where((ids[rows] == hits.actor)[:, None], velocities[rows], 0.0)
-        turned = rotations(pose) * MIRROR[:, None] * MIRROR
-        found = detections(hits, directions, turned, (towards - moment.motion.velocity) * MIRROR)
-        table = np.zeros(len(found), DETECTION)
-        for column, name in enumerate(DETECTION.names or ()):
-            table[name] = found[:, column]
-        table["azimuth"] *= -1
-        return table
-
-
-_RAY_SENSORS: Final[Mapping[str, type[_RaySensor]]] = {
-    "lidar": _Lidar,
-    "semantic_lidar": _SemanticLidar,
-    "radar": _Radar,
-}
 
 
 def _gnss(spec: SensorSpec, opendrive: str) -> _Instrument:

@@ -80,8 +80,9 @@ class DrawnImages:
     """Draws the images of a town in a process of its own; `RecapError`: an optional package or a driver is missing."""
 
     def __init__(self, surfaces: TownSurfaces, quality: Quality, town: Town) -> None:
-        from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
+        from carla_recap.rendering.process import RenderProcess, RenderProcessNotStarted
         from carla_recap.rendering.sky import Sky
+        from carla_recap.util.child import ChildEnded
 
         self._sky = Sky.of_weather
         self._not_started = RenderProcessNotStarted
@@ -89,7 +90,7 @@ class DrawnImages:
         try:
             camera, vehicle = _trial()
             self._process.draw(DrawnView(camera), vehicle)  # the first image takes the time of compiling shaders
-        except RenderProcessEnded:
+        except ChildEnded:
             pass  # another is started for the next image
         except RecapError:
             self._process.close()

@@ -1,0 +1,228 @@
+"""The lidars and radars of a rig, in a process of their own: others need not wait while rays are cast."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from abc import ABC, abstractmethod
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.errors import RecapWarning
+from carla_recap.rendering.process import Shape
+from carla_recap.rendering.rays import RayScene, SurfaceHits
+from carla_recap.replay.pose import LOCATION, MIRROR, rotations
+from carla_recap.scene.models import MODELS, own_models
+from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
+from carla_recap.util.child import answer_requests, new_child
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.scene.instances import Instances
+    from carla_recap.scene.mesh import Mesh
+    from carla_recap.sensors.rig import SensorSpec
+    from carla_recap.util.arrays import Floats, Ids
+
+    Points = dict[str, NDArray[np.void]]
+
+RAYS: Final = ("carla_recap.sensors.ray_sensors", "casts rays", 4)
+"""The arguments of the `Child` that casts rays. More moments than the three that images are drawn ahead."""
+RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
+"""The kinds of sensors that cast rays."""
+POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+"""A point of a lidar: x forward, y left, z up in m; the intensity from 0 to 1."""
+SEMANTIC_POINT: Final = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")]
+)
+"""A point of a semantic lidar: x forward, y left, z up in m; the cosine of the incident angle; the actor or 0; the tag."""
+DETECTION: Final = np.dtype([("velocity", "<f4"), ("azimuth", "<f4"), ("altitude", "<f4"), ("depth", "<f4")])
+"""A detection of a radar: velocity in m/s, positive away; angles to the left and upwards in radians; depth in m."""
+_LONGEST: Final = 10.0  # s between two samples, for which rays are cast
+_RAYS_OF_A_PART: Final = 1 << 16  # cast by one thread at a time
+_MOST_THREADS: Final = 3  # that cast rays; more wait for Python's lock
+
+
+class Setup(NamedTuple):
+    """The first request to the process: what the rays meet, and the sensors."""
+
+    tiles: Sequence[Mesh]
+    models: Sequence[Shape]  # of users, behind those of this package
+    specs: Sequence[SensorSpec]
+
+
+class Moment(NamedTuple):
+    """What rays are cast in, and for which sensors."""
+
+    due: Sequence[tuple[str, Floats]]  # the ids of sensors, and their poses in m and degrees, right-handed
+    step: float  # the seconds since the moment before
+    instances: Instances  # what is seen of the actors
+    ids: Ids  # of actors, ascending
+    velocities: Floats | None  # of these in m/s, right-handed, (ids, 3); None without a radar
+    velocity: Floats | None  # that of the carrier; None without a radar
+
+
+class RayProcess:
+    """The process that casts rays, for a town and sensors.
+
+    Raises:
+        MissingExtra: Embree is not installed.
+        RecapError: The process cannot be started.
+    """
+
+    def __init__(self, tiles: Sequence[Mesh], specs: Sequence[SensorSpec]) -> None:
+        models = [Shape(model.mesh, model.pivots, model.steered) for model in own_models()]
+        self._child = new_child(*RAYS)
+        try:
+            self._child.send(Setup(tiles, models, specs))
+            self._child.receive()
+        except BaseException:
+            self._child.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """The id of the process."""
+        return self._child.process.pid
+
+    def begin(self, moment: Moment) -> None:
+        """Have the rays of a moment cast."""
+        self._child.send(moment)
+
+    def points(self) -> Points:
+        """Return what sensors measure by their ids, at the first moment that was begun and not asked for.
+
+        Warns:
+            RecapWarning: A sensor casts fewer rays than it should.
+        """
+        found, said = self._child.receive()
+        for text in said:
+            warnings.warn(text, RecapWarning, stacklevel=2)
+        return {id: points.copy() for id, points in found.items()}
+
+    def close(self) -> None:
+        """End the process."""
+        self._child.close()
+
+
+class RaySensors:
+    """The lidars and radars of a rig. Moments come in order of time."""
+
+    def __init__(self, setup: Setup) -> None:
+        for model in setup.models:
+            MODELS.append(model)  # type: ignore[arg-type]  # which has all that rays meet
+        self._scene = RayScene(setup.tiles, MODELS)
+        self._said: list[str] = []
+        self._sensors = {spec.id: _SENSORS[spec.kind](spec, self._said.append) for spec in setup.specs}
+        self._threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-rays")
+
+    def measure(self, moment: Moment) -> tuple[Points, list[str]]:
+        """Return what sensors measure by their ids, and warnings."""
+        begun = []
+        for id, pose in moment.due:
+            sensor = self._sensors[id]
+            rays, turn = sensor.rays(moment), MIRROR[:, None] * rotations(pose).T
+            firsts = range(0, max(len(rays), 1), _RAYS_OF_A_PART)
+            parts = [rays[first : first + _RAYS_OF_A_PART] for first in firsts]
+            cast = [
+                self._threads.submit(self._cast, pose[LOCATION], turn, part, sensor.reach, moment.instances)
+                for part in parts
+            ]
+            begun.append((sensor, id, pose, rays, firsts, cast))
+        found = {
+            id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
+            for sensor, id, pose, rays, firsts, cast in begun
+        }
+        said, self._said[:] = self._said[:], []
+        return found, said
+
+    def _cast(self, place: Floats, turn: Floats, rays: Floats, reach: float, instances: Instances) -> SurfaceHits:
+        return self._scene.cast(place, rays @ turn, reach, instances)
+
+
+class _RaySensor(ABC):
+    """A lidar or radar. Its moments come in order of time."""
+
+    beams: LidarBeams | RadarBeams
+
+    def __init__(self, spec: SensorSpec, warn: Callable[[str], None]) -> None:
+        self._warn: Callable[[str], None] = lambda text: warn(f"sensor {spec.id!r}: {text}")
+        self._interval = spec.number("sensor_tick")
+        self.reach = spec.number("range")
+
+    def rays(self, moment: Moment) -> Floats:
+        """Return the directions of the rays in its axes, CARLA's, (n, 3)."""
+        return self.beams.rays(min(max(moment.step, self._interval), _LONGEST))
+
+    @abstractmethod
+    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+        """Return what it measures."""
+
+
+def _points(hits: SurfaceHits, directions: Floats, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return the points of hits, right-handed; other fields are 0."""
+    points = np.zeros(len(hits.ray), dtype)
+    places = directions[hits.ray] * hits.distance[:, None] * MIRROR
+    for axis, name in enumerate("xyz"):
+        points[name] = places[:, axis]
+    return points
+
+
+class _Lidar(_RaySensor):
+    def __init__(self, spec: SensorSpec, warn: Callable[[str], None]) -> None:
+        super().__init__(spec, warn)
+        self.beams, self._returns = LidarBeams(spec.number, self._warn), LidarReturns(spec.number)
+
+    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+        hits, intensity = self._returns.of(hits)
+        points = _points(hits, directions, POINT)
+        points["intensity"] = intensity
+        return points
+
+
+class _SemanticLidar(_RaySensor):
+    def __init__(self, spec: SensorSpec, warn: Callable[[str], None]) -> None:
+        super().__init__(spec, warn)
+        self.beams = LidarBeams(spec.number, self._warn)
+
+    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+        points = _points(hits, directions, SEMANTIC_POINT)
+        points["cosine"], points["actor"], points["tag"] = hits.cosine, hits.actor, hits.tag
+        return points
+
+
+class _Radar(_RaySensor):
+    def __init__(self, spec: SensorSpec, warn: Callable[[str], None]) -> None:
+        super().__init__(spec, warn)
+        self.beams = RadarBeams(spec.number, self._warn)
+
+    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+        ids, velocities = moment.ids, moment.velocities
+        rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
+        assert moment.velocity is not None
+        assert velocities is not None
+        towards = np.zeros((len(hits.actor), 3))
+        if len(ids):
+            towards = np.where((ids[rows] == hits.actor)[:, None], velocities[rows], 0.0)
+        turned = rotations(pose) * MIRROR[:, None] * MIRROR
+        found = detections(hits, directions, turned, (towards - moment.velocity) * MIRROR)
+        table = np.zeros(len(found), DETECTION)
+        for column, name in enumerate(DETECTION.names or ()):
+            table[name] = found[:, column]
+        table["azimuth"] *= -1
+        return table
+
+
+_SENSORS: Final[Mapping[str, type[_RaySensor]]] = {
+    "lidar": _Lidar,
+    "semantic_lidar": _SemanticLidar,
+    "radar": _Radar,
+}
+
+
+if __name__ == "__main__":
+    answer_requests(lambda setup: RaySensors(setup).measure)

@@ -1,0 +1,90 @@
+"""The process that casts the rays of lidars and radars."""
+
+from __future__ import annotations
+
+import os
+import signal
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import carla_recap
+from carla_recap.errors import MissingExtra, RecapWarning
+from carla_recap.sensors.ray_sensors import Moment, RayProcess, RaySensors, Setup
+from carla_recap.sensors.rig import SensorRig
+from carla_recap.util.child import ChildEnded
+from tests.rendering.shapes import PLANE, boxes
+from tests.sensors.cars import drive
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+BOXES = boxes((10, 0, 2), (15, 4, 1))
+PLACE = {"x": 0.0, "y": 0.0, "z": 2.0}
+RIG = SensorRig.of(
+    [
+        {"type": "sensor.lidar.ray_cast", "id": "lidar", **PLACE, "points_per_second": 20_000, "range": 50.0},
+        {"type": "sensor.lidar.ray_cast_semantic", "id": "tags", **PLACE, "points_per_second": 20_000, "range": 50.0},
+        {"type": "sensor.other.radar", "id": "radar", **PLACE},
+    ]
+)
+STILL = np.zeros(3)
+
+
+def moment() -> Moment:
+    """Return a moment 2 m above a plane, with two boxes ahead."""
+    pose = np.array((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
+    due = [(spec.id, pose) for spec in RIG]
+    return Moment(due, 0.05, BOXES, BOXES.ids, np.zeros((len(BOXES), 3)), STILL)
+
+
+def measured(count: int = 3) -> list[dict[str, bytes]]:
+    """Return what the sensors measure in this process at some moments."""
+    sensors = RaySensors(Setup(PLANE.tiles, (), tuple(RIG)))
+    return [{id: points.tobytes() for id, points in sensors.measure(moment())[0].items()} for _ in range(count)]
+
+
+def test_the_process_measures_as_the_sensors_do() -> None:
+    pytest.importorskip("embreex")
+    process = RayProcess(PLANE.tiles, tuple(RIG))
+    for _ in range(3):
+        process.begin(moment())
+    found = [process.points() for _ in range(3)]  # stays as it is when others come
+    process.close()
+    assert [{id: points.tobytes() for id, points in each.items()} for each in found] == measured()
+    assert all(len(points) > 10 for each in found for points in each.values())
+
+
+@pytest.mark.parametrize("rays", [7, 1000])
+def test_rays_that_are_cast_in_parts_hit_the_same(monkeypatch: pytest.MonkeyPatch, rays: int) -> None:
+    pytest.importorskip("embreex")
+    whole = measured()
+    monkeypatch.setattr("carla_recap.sensors.ray_sensors._RAYS_OF_A_PART", rays)
+    assert measured() == whole
+
+
+def test_a_process_that_is_killed_is_an_error() -> None:
+    pytest.importorskip("embreex")
+    process = RayProcess(PLANE.tiles, tuple(RIG))
+    os.kill(process.pid, signal.SIGKILL)
+    process.begin(moment())
+    with pytest.raises(ChildEnded, match="casts rays has ended with exit code -9"):
+        process.points()
+    process.close()
+
+
+def test_missing_embree_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "embreex.py").write_text("raise ImportError")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(MissingExtra, match="cameras"):
+        RayProcess(PLANE.tiles, tuple(RIG))
+
+
+def test_too_many_rays_are_a_warning_of_the_caller(tmp_path: Path) -> None:
+    pytest.importorskip("embreex")
+    rig = SensorRig.of([{"type": "sensor.lidar.ray_cast", "id": "top", **PLACE, "points_per_second": 10_000_000}])
+    said = pytest.warns(RecapWarning, match=r"sensor 'top': points_per_second is 10000000: of \d+ rays in a frame, 200000")
+    with carla_recap.open_recording(drive(tmp_path / "cars.mcap", 1)) as recording, said:
+        (frame,) = carla_recap.sense(recording, rig)
+    assert len(frame.samples["top"].data)
