@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.intp]

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import resource
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -24,10 +25,11 @@ def use_planes(count: int) -> None:
 
 
 def growth() -> int:
-    use_planes(100)
-    before = resident()
-    use_planes(100)
-    return resident() - before
+    sizes = []
+    for _ in range(3):
+        use_planes(100)
+        sizes.append(resident())
+    return min(later - earlier for earlier, later in pairwise(sizes))  # a leak grows each time
 
 
 def test_planes_that_are_gone_leave_no_memory() -> None:

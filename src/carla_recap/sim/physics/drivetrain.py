@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.physics.moving_bodies import Height
     from carla_recap.sim.physics.plane import Plane
-    from carla_recap.util.arrays import Booleans, Floats, Integers
+    from carla_recap.util.arrays import Booleans, Complexes, Floats, Integers
 
 _STEP: Final = 0.01  # s: CARLA's default of the longest step of physics
 _LONG_STEP: Final = 0.05  # s: the longest step of the autopilot's vehicles; motorcycles swing in ones of 0.1 s
@@ -39,11 +39,11 @@ _LEAST_SLIP_SPEED: Final = 0.1  # m/s, added below the slip of wheels that are d
 _LEAST_SIDE_SPEED: Final = 1.0  # m/s, added below the slip sideways
 _KEPT: Final = 8
 _TINY: Final = 1e-9
+_NO_TIME: Final = 1e-30  # s: so short a step changes nothing
 _STICKY_SPEED: Final = 0.2  # m/s: slower vehicles whose wheels are locked stand, and others after a second
 _STICKY_TIME: Final = 1.0  # s
 _PEDALS, _STEERING = (6.0, 10.0), (2.5, 5.0)
 """1/s, by which the pedals and the steering of UE4's vehicles rise and fall at most."""
-_sum: Final = np.add.reduce  # over the corners
 
 
 class DriveTables(StructOfArrays):
@@ -58,8 +58,8 @@ class DriveTables(StructOfArrays):
     """The greatest angle of the inner front wheel in radians."""
     track: Floats = column(1.0)
     """The distance between left and right wheels in m."""
-    torques: Floats = column(np.zeros(TORQUES + 1))
-    """The torque of the engine in N m, from no revolutions to the most."""
+    torques: Complexes = column(np.zeros(TORQUES + 1, np.complex128))
+    """The torque of the engine in N m, from no revolutions to the most; as the imaginary part, its growth to the next."""
     most_turns: Floats = column(0.0)
     """The most revolutions of the engine in rad/s."""
     engine_inertia: Floats = column(1.0)
@@ -97,7 +97,7 @@ class DriveTables(StructOfArrays):
 
     def row(self, values: Mapping[str, Any], used: Integers) -> int:
         """Return the row of some values, which is one that is not used yet if none has them."""
-        key = b"".join(np.asarray(values[name], float).tobytes() for name in self.COLUMNS)
+        key = b"".join(np.asarray(values[name], getattr(self, name).dtype).tobytes() for name in self.COLUMNS)
         if key in self._keys:
             return self._keys.index(key)
         free = np.setdiff1d(np.arange(len(self)), used)
@@ -174,15 +174,17 @@ class Drivetrains(MovingBodies):
 
 
 class _Parameters:
-    """The parameters of some vehicles: arrays with a column for each, and a row for each corner where there are four."""
+    """The parameters of some vehicles: an element for each; of corners, first for the front left one of each."""
 
     def __init__(self, tables: DriveTables, own: Integers) -> None:
-        wheels = np.ascontiguousarray(tables.wheels[own].transpose(1, 2, 0))
-        self.x, self.y, self.radius, inertia, self.damping, self.grip, self.lateral, self.longitudinal, *brakes = wheels
-        self.brake, self.hand_brake = brakes
-        self.per_inertia = 1 / inertia
-        self.per_grip = 1 / np.maximum(self.grip, _TINY)
-        stiffnesses = self.lateral / np.maximum(self.longitudinal, _TINY)
+        wheels = np.ascontiguousarray(tables.wheels[own].transpose(1, 2, 0)).reshape(len(WHEEL), -1)
+        self.x, y, self.radius, inertia, damping, self.grip, lateral, longitudinal, self.brake, self.hand_brake = wheels
+        self.each = np.tile(np.arange(len(own)), CORNERS)
+        self.places = self.x + 1j * y
+        self.rim_inertia, self.rim_damping = inertia / self.radius**2, damping / self.radius**2
+        per_grip = 1 / (3 * np.maximum(self.grip, _TINY))
+        self.lateral, self.longitudinal = lateral * per_grip, longitudinal * per_grip  # of a load that saturates at 1
+        stiffnesses = lateral / np.maximum(longitudinal, _TINY)
         self.most_weighting, self.less_weighting = 0.5 * (1 + stiffnesses), 0.5 * (1 - stiffnesses)
         self.most_turns, self.clutch = tables.most_turns[own], tables.clutch[own]
         self.per_turn = TORQUES / np.maximum(self.most_turns, _TINY)
@@ -190,7 +192,13 @@ class _Parameters:
         self.full, self.engaged, self.disengaged = np.ascontiguousarray(tables.damping[own].T)
         self.centre, self.track, self.full_lock = tables.centre[own], tables.track[own], tables.full_lock[own]
         self.latency, self.switch_time = tables.latency[own], tables.switch_time[own]
-        self.brakes, self.wheel_damping, self.wheel_inertia = _sum(brakes[0]), _sum(self.damping), _sum(inertia)
+        self.brakes, self.wheel_damping, self.wheel_inertia = _sum(self.brake), _sum(damping), _sum(inertia)
+        self.first_torque = own * (TORQUES + 1)
+
+
+def _sum(values: Any) -> Any:
+    """Return the sums over the corners of each vehicle."""
+    return np.add.reduce(values.reshape(CORNERS, -1))
 
 
 def column_of(speed: Floats) -> Integers:
@@ -213,7 +221,7 @@ def steer(fleet: Drivetrains, seconds: float) -> None:
 def _follow(values: Floats, wanted: Floats, rates: tuple[float, float], seconds: float) -> Floats:
     """Return inputs that have followed what is wanted for a time in s: away from 0 by one rate, and back by another."""
     change = wanted - values
-    most = np.where(change * values >= 0, rates[0], rates[1]) * seconds
+    most = np.where(change * values >= 0, rates[0] * seconds, rates[1] * seconds)
     found: Floats = values + np.minimum(np.maximum(change, -most), most)
     return found
 
@@ -235,62 +243,65 @@ def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool
 
 
 class _Drive:
-    """Some vehicles while they are driven: x and y are ahead and to the right of how they stood at first.
+    """Some vehicles while they are driven; arrays have an element for each of them, or for each corner, as `_Parameters`.
 
-    Arrays have a column for each vehicle, and a row for each corner where there are four.
+    numpy takes a microsecond for an operation on a few numbers, and twice that if shapes differ: hence the flat arrays.
+    Places, velocities and forces are complex: ahead and, as the imaginary part, to the right of how the vehicle stood at
+    first, or of what is said.
     """
 
     def __init__(self, fleet: Drivetrains, rows: Integers) -> None:
         self.fleet, self.rows = fleet, rows
         self.table = fleet.table[rows]
-        self.own = fleet.tables.of(self.table)
+        own = self.own = fleet.tables.of(self.table)
+        self.torques = fleet.tables.torques.ravel()
         hand_brake = fleet.hand_brake[rows]
-        self.held = hand_brake * self.own.hand_brake
-        self.share = np.full((CORNERS, len(rows)), 1 / CORNERS)
-        self.share[:2, hand_brake], self.share[2:, hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
+        self.held = hand_brake[own.each] * own.hand_brake
+        share = np.full((CORNERS, len(rows)), 1 / CORNERS)
+        share[:2, hand_brake], share[2:, hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
+        self.share = share.ravel() / own.radius
         self.mass, self.moment, self.air = fleet.mass[rows], fleet.moment[rows], fleet.air[rows]
-        self.cos, self.sin = self._front_wheels()
-        self.pedals = np.array((fleet.throttle_input[rows], fleet.brake_input[rows]))
-        self.wanted = np.array((fleet.throttle[rows], fleet.brake[rows]))
+        self.wheels = self._front_wheels()
+        self.to_wheels = self.wheels.conj()
+        self.levers = 1j * own.places * self.to_wheels
+        self.spins = self.levers.conj()
+        self.against = -(self.wheels.real**2)
+        self.pedals = np.concatenate((fleet.throttle_input[rows], fleet.brake_input[rows]))
+        self.wanted = np.concatenate((fleet.throttle[rows], fleet.brake[rows]))
         self.manual, self.gear, self.target = fleet.manual[rows], fleet.gear[rows], fleet.target_gear[rows]
         self.shift_time, self.since_shift = fleet.shift_time[rows], fleet.since_shift[rows]
         self.turning = fleet.turning[rows]
-        self.vx, self.vy = fleet.speed[rows], fleet.sideways[rows] + self.turning * self.own.centre
-        self.yaw, self.moved_x, self.moved_y = np.zeros((3, len(rows)))
-        self.omega, self.engine = np.ascontiguousarray(fleet.omega[rows].T), fleet.engine[rows]
+        self.velocity = fleet.speed[rows] + 1j * (fleet.sideways[rows] + self.turning * own.centre)
+        self.yaw, self.moved = np.zeros(len(rows)), np.zeros(len(rows), np.complex128)
+        self.heading, self.body = np.exp(1j * self.yaw), self.velocity.copy()
+        self.rim, self.engine = fleet.omega[rows].T.ravel() * own.radius, fleet.engine[rows]
+        self._engage()
+
+    def _front_wheels(self) -> Complexes:
+        """Return the directions of the wheels: those of the front ones meet at the axis of the rear ones."""
+        between = np.tan(self.fleet.steer_angle[self.rows])
+        by_track = between * self.own.track / (2 * self.fleet.wheelbase[self.rows])
+        directions = np.ones((CORNERS, len(self.rows)), np.complex128)
+        directions.imag[0], directions.imag[1] = between / (1 + by_track), between / np.maximum(1 - by_track, _TINY)
+        return (directions / np.abs(directions)).ravel()
 
     def begin(self, seconds: float) -> None:
         """Begin a step of a length in s: pedals, and gears; an automatic shift takes the throttle away."""
         own = self.own
         self.pedals = _follow(self.pedals, self.wanted, _PEDALS, seconds)
-        throttle, brake = self.pedals
-        self.brakes = brake * own.brake + self.held
-        self.braked = self.brakes > 0
+        throttle, brake = self.pedals.reshape(2, -1)
+        brakes = brake[own.each] * own.brake + self.held
+        self.braked, self.brakes = brakes > 0, -brakes / own.radius
         self._shift(seconds)
-        neutral = self.gear == 0
-        shifting = (self.gear != self.target) & ~self.manual
-        self.ratio = self.fleet.tables.ratios[self.table, self.gear]
-        self.strength = own.clutch * ~neutral
-        self.accelerator = throttle * ~shifting
-        without = np.where(neutral, own.disengaged, own.engaged)
-        self.engine_damping = without + (own.full - without) * self.accelerator
-
-    def _front_wheels(self) -> tuple[Floats, Floats]:
-        """Return cosine and sine of the angles of the wheels: those of the front ones meet at the axis of the rear ones."""
-        between = np.tan(self.fleet.steer_angle[self.rows])
-        by_track = between * self.own.track / (2 * self.fleet.wheelbase[self.rows])
-        tangents = np.zeros_like(self.own.x)
-        tangents[0], tangents[1] = between / (1 + by_track), between / np.maximum(1 - by_track, _TINY)
-        cos: Floats = 1 / np.sqrt(1 + tangents * tangents)
-        return cos, cos * tangents
+        self.accelerator = throttle * (self.manual | (self.gear == self.target))
+        self.engine_damping = self.without + (own.full - self.without) * self.accelerator
 
     def _shift(self, seconds: float) -> None:
         """Let the gearboxes work for a step of a length in s; a shift goes by way of neutral."""
-        own, tables = self.own, self.fleet.tables
+        own = self.own
         turns = self.engine * own.per_turn / TORQUES
-        ready = (self.gear == self.target) & (self.since_shift > own.latency) & ~self.manual & (self.gear >= 0)
-        up = ready & (turns > tables.up[self.table, self.gear])
-        down = ready & (turns < tables.down[self.table, self.gear])
+        ready = self.shifts & (self.gear == self.target) & (self.since_shift > own.latency)
+        up, down = ready & (turns > self.up), ready & (turns < self.down)
         self.since_shift += seconds
         begins = up | down
         if begins.any():
@@ -301,109 +312,121 @@ class _Drive:
             done = changing & (self.shift_time > own.switch_time)
             self.gear[done] = self.target[done]
             self.shift_time += seconds
+            self._engage()
+
+    def _engage(self) -> None:
+        """Set what follows from the gears."""
+        own, tables, neutral, which = self.own, self.fleet.tables, self.gear == 0, (self.table, self.gear)
+        self.geared = self.share * tables.ratios[which][own.each]
+        self.geared_twice = self.geared * self.geared
+        self.up, self.down = tables.up[which], tables.down[which]
+        self.shifts = ~self.manual & (self.gear >= 0)
+        self.strength = own.clutch * ~neutral
+        self.without = np.where(neutral, own.disengaged, own.engaged)
 
     def step_exactly(self, seconds: float) -> None:
         """Advance as PhysX does: a slow vehicle in three parts, and one that rolls slowly without throttle to its rest."""
-        slow = np.abs(self.vx * np.cos(self.yaw) + self.vy * np.sin(self.yaw)) < _SLOW
+        slow = np.abs(self.body.real) < _SLOW
         rolls = slow & (self.accelerator == 0)
-        self.step(np.where(slow, seconds / _SLOW_STEPS, seconds), rolls)
+        part = seconds / _SLOW_STEPS
+        self.step(np.where(slow, part, seconds), rolls)
         if slow.any():
-            for _ in range(_SLOW_STEPS - 1):
-                self.step(np.where(slow, seconds / _SLOW_STEPS, 0.0), rolls)
+            self.step(np.where(slow, part, _NO_TIME), rolls, _SLOW_STEPS - 1)
 
-    def step(self, seconds: Floats, implicit: Booleans) -> None:
-        """Advance each vehicle by its time in s; the tyres of `implicit` ones follow the change of their slips."""
-        own, cos, sin, omega = self.own, np.cos(self.yaw), np.sin(self.yaw), self.omega
-        forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
-        along, across = forward - self.turning * own.y, right + self.turning * own.x
-        ahead, aside = along * self.cos + across * self.sin, across * self.cos - along * self.sin
+    def step(self, seconds: Floats, implicit: Booleans, times: int = 1) -> None:
+        """Advance each vehicle by its time in s, some `times`; tyres of `implicit` ones follow the change of their slips."""
+        own, each = self.own, self.own.each
+        per_mass, self.per_moment = seconds / self.mass, seconds / self.moment
+        self.per_mass, drag = per_mass, self.air * per_mass
+        per_engine = seconds * own.per_engine
+        self.keeps = 1 / (1 + per_engine * self.engine_damping)
+        self.engine_less = per_engine * self.keeps
+        self.gains = self.engine_less * self.accelerator
+        self.slips_less = 1 + self.strength * self.engine_less
+        self.wheel_per_time = own.rim_inertia / seconds[each]
+        follows, by_implicit = bool(implicit.any()), implicit[each].astype(float)
+        against = self.against * by_implicit
+        slips, loads = np.empty((2, len(each)), np.complex128)
+        for _ in range(times):
+            slid = self.body[each] * self.to_wheels + self.turning[each] * self.levers
+            ahead, rim = slid.real.copy(), self.rim
+            speed = np.abs(ahead)
+            slip_speed, side_speed = np.maximum(speed, np.abs(rim)) + _LEAST_SLIP_SPEED, speed + _LEAST_SIDE_SPEED
+            slip = np.divide(rim - ahead, slip_speed, out=slips.real)
+            side_slip = np.divide(slid.imag, side_speed, out=slips.imag)
+            np.multiply(own.longitudinal, slip, out=loads.real)
+            np.multiply(own.lateral, side_slip, out=loads.imag)
+            load = np.abs(loads)
+            bounded = np.minimum(load, 1.0)
+            saturation = bounded * (3 + bounded * (bounded - 3))
+            weighting = own.less_weighting * np.cos(np.minimum(1.5 * load, pi)) - own.most_weighting  # against the slip
+            np.multiply(weighting, side_slip, out=side_slip)
+            by_slip = own.grip * saturation / (np.abs(slips) + _TINY)
+            forces = by_slip * slips
 
-        rim = omega * own.radius
-        speed = np.abs(ahead)
-        per_slip_speed = 1 / (np.maximum(speed, np.abs(rim)) + _LEAST_SLIP_SPEED)
-        slip = (rim - ahead) * per_slip_speed
-        per_side_speed = 1 / (speed + _LEAST_SIDE_SPEED)
-        side_slip = aside * per_side_speed
-        load = np.hypot(own.lateral * side_slip, own.longitudinal * slip) * own.per_grip
-        bounded = np.minimum(load, 3.0)
-        saturation = bounded * (1 + bounded * (bounded / 27 - 1 / 3))
-        weighting = own.most_weighting - own.less_weighting * np.cos(np.minimum(0.5 * load, pi))
-        effective = weighting * side_slip
-        by_slip = own.grip * saturation / (np.hypot(slip, effective) + _TINY)
-        pull, push = by_slip * slip, -by_slip * effective
+            softness = by_slip / slip_speed * by_implicit
+            new = self._turn_wheels(forces.real, softness)
+            if follows:
+                forces += softness * (new - rim)
+            self.rim = new
 
-        brake = -np.sign(omega) * self.brakes
-        softness = by_slip * per_slip_speed * own.radius * implicit
-        new = self._turn_wheels(seconds, brake - pull * own.radius, softness * own.radius)
-        pull = pull + softness * (new - omega)
-        self.omega = new
+            forward, change = self.body.real, _sum(forces * self.wheels) * per_mass
+            spin = _sum((forces * self.spins).real) * self.per_moment
+            change -= np.minimum(drag * np.abs(forward), 1.0) * forward
+            if follows:
+                change.real /= 1 + _sum(softness * (new == 0)) * per_mass
+                stiffness = by_slip * weighting / side_speed * against
+                change.imag, spin = self._follow_slip(stiffness, change.imag, spin)
+            self.velocity += change * self.heading
+            self.turning = self.turning + spin
+            self.moved += self.velocity * seconds
+            self.yaw = self.yaw + self.turning * seconds
+            self.heading = np.exp(1j * self.yaw)
+            self.body = self.velocity * self.heading.conj()
 
-        pull_x, push_y = pull * self.cos - push * self.sin, pull * self.sin + push * self.cos
-        force_x = _sum(pull_x) - np.minimum(self.air * np.abs(forward), self.mass / np.maximum(seconds, _TINY)) * forward
-        force_y, torque = _sum(push_y), _sum(own.x * push_y - own.y * pull_x)
-        ax, ay, spin = force_x / self.mass * seconds, force_y / self.mass * seconds, torque / self.moment * seconds
-        if implicit.any():
-            ax /= 1 + _sum(softness * (new == 0) / own.radius) / self.mass * seconds
-            stiffness = by_slip * weighting * per_side_speed * self.cos**2 * implicit
-            ay, spin = self._follow_slip(stiffness, ay, spin, seconds)
-        self.vx += ax * cos - ay * sin
-        self.vy += ax * sin + ay * cos
-        self.turning = self.turning + spin
-        self.moved_x += self.vx * seconds
-        self.moved_y += self.vy * seconds
-        self.yaw = self.yaw + self.turning * seconds
+    def _turn_wheels(self, pull: Floats, softness: Floats) -> Floats:
+        """Return the speeds of the rims after a step in m/s, and turn the engine.
 
-    def _turn_wheels(self, seconds: Floats, torque: Floats, softness: Floats) -> Floats:
-        """Return the speeds of the wheels after a step in rad/s, and turn the engine.
-
-        With the torque of the clutch t, the engine is e0 - a t after the step, and a wheel w0 + b t. As t itself is
+        With the torque of the clutch t, the engine is e0 - a t after the step, and a rim r0 + b t. As t itself is
         strength * (engine - ratio * mean of the wheels) after the step, it is a fraction.
         """
-        own, torques = self.own, self.fleet.tables.torques
+        own, rim = self.own, self.rim
         turned = np.minimum(self.engine * own.per_turn, TORQUES)
-        index = np.minimum(turned.astype(np.int64), TORQUES - 1)
-        low = torques[self.table, index]
-        drive = self.accelerator * (low + (torques[self.table, index + 1] - low) * (turned - index))
-        per_engine = seconds * own.per_engine
-        engine_less = per_engine / (1 + per_engine * self.engine_damping)
-        engine = (self.engine + per_engine * drive) / (1 + per_engine * self.engine_damping)
-        per_wheel = seconds * own.per_inertia
-        slowed = 1 / (1 + per_wheel * (own.damping + softness))
-        free = (self.omega + per_wheel * (torque + softness * self.omega)) * slowed
-        gained = per_wheel * slowed * self.share * self.ratio
-        difference = engine - self.ratio * _sum(self.share * free)
-        clutch = self.strength * difference
-        clutch /= 1 + self.strength * (engine_less + self.ratio * _sum(self.share * gained))
-        self.engine = np.minimum(np.maximum(engine - engine_less * clutch, 0.0), own.most_turns)
-        wheels: Floats = free + gained * clutch
-        wheels[self.braked & (self.omega * wheels <= 0)] = 0.0
-        return wheels
+        index = turned.astype(np.int64)
+        torque = self.torques[index + own.first_torque]
+        engine = self.engine * self.keeps + self.gains * (torque.real + torque.imag * (turned - index))
+        resists = self.wheel_per_time + softness
+        gives = 1 / (resists + own.rim_damping)
+        free = (resists * rim + np.sign(rim) * self.brakes - pull) * gives
+        clutch = self.strength * (engine - _sum(free * self.geared))
+        clutch /= self.slips_less + self.strength * _sum(gives * self.geared_twice)
+        self.engine = np.minimum(np.maximum(engine - self.engine_less * clutch, 0.0), own.most_turns)
+        new: Floats = free + gives * self.geared * clutch[own.each]
+        np.copyto(new, 0.0, where=self.braked & (rim * new <= 0))
+        return new
 
-    def _follow_slip(self, stiffness: Floats, ay: Floats, spin: Floats, seconds: Floats) -> tuple[Floats, Floats]:
+    def _follow_slip(self, stiffness: Floats, ay: Floats, spin: Floats) -> tuple[Floats, Floats]:
         """Return the changes of the speed to the right and of the yaw rate if tyres follow the change of their slips."""
         levers = stiffness * self.own.x
-        a, lever = 1 + _sum(stiffness) / self.mass * seconds, _sum(levers) * seconds
-        d = 1 + _sum(levers * self.own.x) / self.moment * seconds
-        b, c = lever / self.mass, lever / self.moment
+        a, d = 1 + _sum(stiffness) * self.per_mass, 1 + _sum(levers * self.own.x) * self.per_moment
+        b, c = _sum(levers) * self.per_mass, _sum(levers) * self.per_moment
         determinant = a * d - b * c
         return (d * ay - b * spin) / determinant, (a * spin - c * ay) / determinant
 
     def write(self, seconds: float) -> tuple[Floats, Floats, Floats]:
         """Write the state back after a step of a length in s; see `advance`."""
-        fleet, rows, cos, sin = self.fleet, self.rows, np.cos(self.yaw), np.sin(self.yaw)
-        forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
-        rims = np.abs(self.omega * self.own.radius).max(axis=0)
-        slow = (np.hypot(forward, right) < _STICKY_SPEED) & (rims < _STICKY_SPEED) & (self.accelerator == 0)
+        fleet, rows, own = self.fleet, self.rows, self.own
+        rims = np.abs(self.rim).reshape(CORNERS, -1).max(axis=0)
+        slow = (np.abs(self.body) < _STICKY_SPEED) & (rims < _STICKY_SPEED) & (self.accelerator == 0)
         waited = np.where(slow, fleet.slow_time[rows] + seconds, 0.0)
-        stands = slow & (self.braked.any(axis=0) & (rims == 0) | (waited > _STICKY_TIME))
-        moving = ~stands
+        braked = self.braked.reshape(CORNERS, -1).any(axis=0)
+        moving = ~(slow & (braked & (rims == 0) | (waited > _STICKY_TIME)))
         fleet.slow_time[rows] = waited
-        fleet.speed[rows], fleet.turning[rows] = forward * moving, self.turning * moving
-        fleet.sideways[rows] = (right - self.turning * self.own.centre) * moving
-        fleet.omega[rows], fleet.engine[rows] = (self.omega * moving).T, self.engine
-        fleet.throttle_input[rows], fleet.brake_input[rows] = self.pedals
+        fleet.speed[rows], fleet.turning[rows] = self.body.real * moving, self.turning * moving
+        fleet.sideways[rows] = (self.body.imag - self.turning * own.centre) * moving
+        fleet.omega[rows], fleet.engine[rows] = ((self.rim / own.radius).reshape(CORNERS, -1) * moving).T, self.engine
+        fleet.throttle_input[rows], fleet.brake_input[rows] = self.pedals.reshape(2, -1)
         fleet.gear[rows], fleet.target_gear[rows] = self.gear, self.target
         fleet.shift_time[rows], fleet.since_shift[rows] = self.shift_time, self.since_shift
-        x = self.moved_x + (1 - cos) * self.own.centre
-        y = self.moved_y - sin * self.own.centre
-        return x * moving, y * moving, self.yaw * moving
+        moved = (self.moved + (1 - self.heading) * own.centre) * moving
+        return moved.real, moved.imag, self.yaw * moving

@@ -207,12 +207,13 @@ def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -
             )
         )
     most = max(control.max_rpm, 0.0)
+    torques = _at(np.linspace(0.0, most, TORQUES + 1), control.torque_curve, 0.0)
     return {
         "wheels": np.array(corners).T,
         "centre": centre,
         "full_lock": full_lock,
         "track": y[1] - y[0],
-        "torques": _at(np.linspace(0.0, most, TORQUES + 1), control.torque_curve, 0.0),
+        "torques": torques + 1j * np.diff(torques, append=torques[-1:]),
         "most_turns": most * 2 * pi / 60,
         "engine_inertia": max(control.moi, _LEAST_MOMENT),
         "damping": np.maximum([getattr(control, f"damping_rate_{name}") for name in _DAMPINGS], 0.0),

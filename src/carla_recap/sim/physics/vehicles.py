@@ -129,9 +129,9 @@ class Vehicles(Drivetrains):
         own, tables = self.tables.of(table), self.tables
         speed = np.maximum(np.where(backwards, -self.speed[rows], self.speed[rows]), 0)
         gear = np.where(backwards, GEARS - 1, np.maximum(self.target_gear[rows], 1))
-        radius, ratio = own.radius[0], np.maximum(np.abs(tables.ratios[table, gear]), _TINY)
+        radius, ratio = own.radius[: len(rows)], np.maximum(np.abs(tables.ratios[table, gear]), _TINY)
         turns = np.minimum(ratio * speed / radius, own.most_turns)
-        torque = tables.torques[table, (turns * own.per_turn).astype(np.int64)]
+        torque = tables.torques[table, (turns * own.per_turn).astype(np.int64)].real
         inertia = self.mass[rows] * radius**2 + own.wheel_inertia + ratio * ratio / own.per_engine
         resistance = self.air[rows] * speed * speed * radius + own.wheel_damping * speed / radius
         wanted = inertia * acceleration / radius + resistance + own.engaged * turns * ratio  # N m at the wheels
