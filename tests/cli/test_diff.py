@@ -87,34 +87,6 @@ def test_a_page_and_an_rrd(tmp_path):
     assert (tmp_path / "both.rrd").stat().st_size > 100_000
 
 
-def test_a_replay_repeats_all_positions_and_has_one_more_frame(tmp_path):
-    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
-    again = tmp_path / "again.mcap"
-    assert run("replay", JUNCTION, again, "--then", 0).returncode == 0
-    done = run("diff", JUNCTION, again, "--json")
-    found = json.loads(done.stdout)
-    assert done.returncode == 1
-    assert found["reasons"] == ["600 frames in 29.95 s, and 601 in 30.00 s"]
-    assert {row["max"] for row in found["actors"] if row["frames"]} == {0.0}
-    assert [actor["kind"] for actor in found["missing"]] == ["sensor"]
-    assert answer("diff", JUNCTION, again, "--tolerance", 1e-6).startswith("equal within 1e-06 m")
-
-
-def test_recordings_at_urls(tmp_path):
-    pytest.importorskip("obstore", reason="the extra `remote` is not installed")
-    from tests.web import serve
-
-    with serve(SAMPLES) as web:
-        url = f"{web.url}/{JUNCTION.name}"
-        lines = answer("diff", url, JUNCTION).splitlines()
-        assert lines[0] == "equal within 0 m"
-        assert lines[1].startswith(f"A: {url}: Brickfield, 600 frames")
-        page = tmp_path / "page.html"
-        assert run("diff", JUNCTION, url, "--html", page).returncode == 0
-        assert page.exists()
-        assert f"{web.url}/none.mcap" in error("diff", JUNCTION, f"{web.url}/none.mcap")
-
-
 @pytest.mark.parametrize("names", [("a", "b"), ("b", "a")])
 def test_ghosts_never_overwrite_what_is_compared(tmp_path, names):
     for name in names:

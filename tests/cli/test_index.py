@@ -145,13 +145,6 @@ def test_names_of_recordings_cannot_control_the_terminal(index):
     assert r"\x1b[2J" in shown
 
 
-def test_a_question_about_measures_that_the_index_does_not_have_is_answered_with_a_warning(index):
-    done = run("sql", index, "select count(*) as n from measures")
-    assert (done.returncode, done.stdout) == (0, b"n\n0\n")
-    assert b"warning: " in done.stderr
-    assert b"--measures" in done.stderr
-
-
 @pytest.mark.parametrize("form", ["argument", "stdin"])
 def test_a_query_that_is_not_utf_8_is_an_error_in_one_line(index, form):
     query, text = ("-", b"select '\xff'") if form == "stdin" else (b"select '\xff'", b"")

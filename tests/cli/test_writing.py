@@ -113,17 +113,6 @@ def test_files_of_an_earlier_run_below_the_sources_are_skipped(runs):
     assert messages(done) == ["recordings: 0 done, 2 skipped, 0 failed"]
 
 
-def test_two_recordings_of_one_name_are_an_error(runs):
-    shutil.copy(CRASH, runs / "a.mcap")
-    done = run("convert", "runs/a.log", "runs/a.mcap", "out")
-    assert done.returncode == 2
-    assert (
-        messages(done)[1] == "carla-recap: runs/a.mcap: has the same name as runs/a.log; both would be written to out/a.mcap"
-    )
-    with open_recording("out/a.mcap") as recording:
-        assert recording.info.frames == 531
-
-
 def test_of_two_recordings_of_one_name_the_one_is_written_that_can_be(runs):
     shutil.copy(CRASH, runs / "c.mcap")
     shutil.copy(CRASH, runs / "deep" / "c.mcap")
@@ -149,18 +138,6 @@ def test_folders_that_stay_empty_are_removed(runs):
     assert Path("kept").is_dir()
 
 
-def test_a_file_as_destination_of_many_is_refused(runs):
-    expected = "runs/c.log: is a file; a folder was expected, for the files of many recordings"
-    assert error("convert", "runs/a.log", "runs/deep/b.mcap", "runs/c.log", "--force") == expected
-    assert (runs / "c.log").read_bytes() == b"junk"
-
-
-def test_the_name_of_a_file_as_destination_of_many_is_refused(runs):
-    expected = "out.mcap: names a file; a folder was expected, for the files of many recordings"
-    assert error("convert", "runs", "out.mcap") == expected
-    assert not Path("out.mcap").exists()
-
-
 def test_a_folder_that_cannot_be_made_is_named(runs):
     (runs / "file").write_bytes(b"")
     message = messages(run("convert", "runs/a.log", "runs/file/below/"))[0].removeprefix("carla-recap: ")
@@ -175,13 +152,6 @@ def test_an_empty_destination_is_refused(runs, sources):
 def test_a_web_server_takes_no_files(runs):
     expected = "https://host/x.mcap: a web server takes no files; a path or s3://BUCKET/KEY was expected"
     assert error("convert", "runs/a.log", "https://host/x.mcap") == expected
-
-
-def test_clips_of_many(runs):
-    assert run("clip", "runs", "out", "--start", 5, "--duration", 2).returncode == 2
-    for name in ("a.mcap", "deep/b.mcap"):
-        with open_recording(f"out/{name}") as clip:
-            assert clip.info.duration == pytest.approx(2, abs=0.2)
 
 
 def test_moments_of_many(runs):

@@ -15,14 +15,12 @@ from functools import partial
 
 import pytest
 
-from carla_recap import Recording, map_recordings
 from carla_recap.errors import MissingExtra, NoCredentials, RecapError, RecapWarning
 from carla_recap.fleet.cluster import connect
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
-from tests.cli.command import CROSSING, run, the_line
+from tests.cli.command import CROSSING, run
 from tests.fleet.hostile import HOSTILE, LIMIT, hostile
-from tests.sensors.cars import drive
 from tests.waiting import time_limit, wait_until
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -148,15 +146,6 @@ def test_a_module_that_workers_lack_is_said_once(client, tmp_path, monkeypatch):
     assert "\n" not in str(caught.value)
 
 
-def test_a_key_that_workers_lack_is_one_line(cluster):
-    done = run("collisions", *(f"s3://bucket/{index}.mcap" for index in range(20)), "--dask", cluster.scheduler_address)
-    assert (done.returncode, done.stdout) == (2, b"")
-    message = the_line(done.stderr)
-    assert re.match(
-        r"the Dask worker tcp://[^ ]+: s3://bucket/\d+\.mcap: cannot be read: no credentials were found", message
-    )
-
-
 def test_answers_errors_and_relative_paths_are_printed_as_without_a_cluster(cluster, tmp_path):
     (tmp_path / "runs").mkdir()
     for name in ("a.log", "c.log"):
@@ -175,11 +164,6 @@ def test_files_are_written_by_workers(cluster, tmp_path):
     assert done.returncode == 0, done.stderr
     assert len(json.loads(done.stdout)["written"]) == 2
     assert (tmp_path / "out" / "b.mcap").stat().st_size > 1000
-
-
-def test_recordings_are_mapped(client):
-    (outcome,) = map_recordings(Recording.collisions, CROSSING, client=client)
-    assert len(outcome.value) == 2
 
 
 def test_an_iterator_that_is_closed_cancels_its_tasks(client):
@@ -205,21 +189,6 @@ def test_an_address_without_a_scheduler_is_an_error_in_one_line(monkeypatch):
         for address in (f"tcp://127.0.0.1:{free.getsockname()[1]}", "nonsense://x"):
             with pytest.raises(RecapError, match=f"^{address}: no Dask scheduler answers .*$"):
                 connect(address)
-
-
-def test_a_cluster_writes_a_dataset(driver, cluster, tmp_path):
-    (tmp_path / "runs").mkdir()
-    for name in ("a", "b", "c"):
-        drive(tmp_path / "runs" / f"{name}.mcap", 2)
-    camera = {"type": "sensor.camera.rgb", "id": "front", "x": 2, "y": 0, "z": 1.5, "width": 64, "height": 48, "fov": 90}
-    (tmp_path / "rig.json").write_text(json.dumps([camera]))
-    out = tmp_path / "out"
-    options = ("--to", "coco", "--rig", tmp_path / "rig.json", "--rate", 20, "--quality", "low")
-    done = run("export", tmp_path / "runs", out, *options, "--dask", cluster.scheduler_address)
-    assert done.returncode == 0, done.stderr
-    images = json.loads((out / "annotations" / "instances_train.json").read_text())["images"]
-    assert [image["recording"] for image in images] == ["a", "a", "b", "b", "c", "c"]
-    assert all((out / "images" / image["file_name"]).stat().st_size for image in images)
 
 
 def test_a_function_with_a_limit_runs_in_children_of_workers(client):

@@ -58,46 +58,6 @@ def change(path):
 # --- what it contains ---------------------------------------------------------------------------------------------------
 
 
-NEAR_MISSES = """
-    select distinct recording from incidents where kind = 'near miss' and measure = 'time_to_collision' and value < {0}
-"""
-LEAST_TIMES = """
-    select distinct recording from measures where measure = 'time_to_collision' and hero and value < {0}
-    and recording not in (select recording from incidents where kind = 'collision' and list_contains(actors, measures.actor))
-"""
-
-
-@pytest.mark.filterwarnings("ignore:.*map 'nowhere' is unknown")
-def test_near_misses_in_sql_are_those_of_a_loop_over_measures(tmp_path):
-    cars = [
-        Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name=role))
-        for id, role in ((1, "hero"), (2, ""))
-    ]
-    for number, brakes_at in enumerate((3.5, 4.2, 4.6, 4.8, 4.9, 5.0, 5.4)):  # s, at 10 m/s, 56 m before the other car
-        with create_recording(tmp_path / f"{number}.mcap", map_name="nowhere") as recorder:
-            for frame in range(140):
-                time = frame / 20
-                braked = min(max(time - brakes_at, 0.0), 1.25)
-                x = 10 * min(time, brakes_at) + 10 * braked - 4 * braked**2
-                poses = [(1, min(100 * x, 5600), 0, 0, 0, 0, 0), (2, 6000, 0, 0, 0, 0, 0)]
-                boxes = [(id, 0, 0, 0, 200, 100, 80) for id in (1, 2)]
-                start = {} if frame else {"spawned": cars, "bounding_boxes": boxes}
-                hit = {"collisions": [(0, 1, 2, 1, 0)]} if x >= 56 else {}
-                recorder.add_frame(time, transforms=poses, **start, **hit)
-    write_index([tmp_path], tmp_path / "index", jobs=1, measures=True)
-    least = {}
-    for path in sorted(tmp_path.glob("*.mcap")):
-        with open_recording(path) as recording:
-            if not recording.incidents(kinds=["collision"]):
-                least[str(path)] = min(row.value for row in recording.measures() if row.measure == "time_to_collision")
-    assert (len(least), sum(value < 1 for value in least.values())) == (5, 3)
-    with open_index(tmp_path / "index") as index:
-        for limit in (0.8, 1.0, 1.5):
-            expected = {path for path, value in least.items() if value < limit}
-            for query in (NEAR_MISSES, LEAST_TIMES):
-                assert set(index.sql(query.format(limit))["recording"].to_pylist()) == expected
-
-
 def test_a_recording_is_a_row_with_what_info_says(index):
     row = recordings(index)["crossing.log"]
     with open_recording(SAMPLES / "crossing.log") as recording:
@@ -263,13 +223,6 @@ def test_events_count_whatever_their_times_and_their_size(tmp_path, monkeypatch,
 # --- changes ------------------------------------------------------------------------------------------------------------
 
 
-def test_unchanged_recordings_are_not_read_again(runs, tmp_path):
-    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (3, 0, 0, 0)
-    before = contents(tmp_path / "index")
-    assert counts(write_index([runs], tmp_path / "index", jobs=1)) == (0, 0, 3, 0)
-    assert contents(tmp_path / "index") == before
-
-
 def test_the_rows_of_a_changed_recording_are_replaced(runs, tmp_path):
     write_index([runs], tmp_path / "index", jobs=1)
     shutil.copy(SAMPLES / "junction.mcap", runs / "crash.mcap")
@@ -398,13 +351,6 @@ def test_units_are_comments_for_other_tools(index):
 
 
 # --- SQL ----------------------------------------------------------------------------------------------------------------
-
-
-def test_sql_answers_from_the_tables(index):
-    with open_index(index) as opened:
-        for name in TABLES:
-            (count,) = opened.sql(f"select count(*) as n from {name}")["n"].to_pylist()
-            assert count == len(opened.table(name))
 
 
 @pytest.mark.parametrize(

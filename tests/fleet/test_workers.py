@@ -137,11 +137,6 @@ def test_many_outcomes_are_not_held_while_none_is_asked_for():
     assert taken < 300 + 200
 
 
-def test_a_source_with_an_error_has_that_error():
-    (outcome,) = map_sources(process, [SourceFile("runs", error="runs: no recordings")])
-    assert (outcome.value, outcome.error) == (None, "runs: no recordings")
-
-
 def test_errors_do_not_hold_the_signal_for_pipes(tmp_path):
     before = signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     try:

@@ -114,13 +114,6 @@ def test_each_section_about_records_is_about_a_record_type():
     assert headings == {type.name for type in UE4}
 
 
-def test_the_values_of_incidents_are_those_that_are_shown(working_directory, capsys):
-    page = ROOT / "docs" / "incidents.md"
-    (code,) = [block for block in blocks(page, "python") if "hardest" in block]
-    exec(compile(code, "snippet", "exec"), {})
-    assert capsys.readouterr().out == "".join(blocks(page, "text"))
-
-
 def test_the_table_of_calls_is_up_to_date():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     script = runpy.run_path(str(ROOT / "tools" / "make-calls"))
@@ -266,20 +259,6 @@ def documented(found: griffe.Class) -> set[str]:
     return {name for line in lines for name in line.split(", ")}
 
 
-def test_a_data_frame_of_all_vehicles_takes_three_lines():
-    """The code of README.md: each vehicle in each frame, with its speed."""
-    pytest.importorskip("pandas", reason="the extra `pandas` is not installed")
-    (code,) = [block for block in blocks(PAGES[0], "python") if "to_pandas" in block]
-    assert len([line for line in code.splitlines() if line]) == 3
-    names = {}
-    exec(code.replace("samples/", f"{ROOT}/samples/"), names)
-    vehicles = names["vehicles"]
-    with carla_recap.open_recording(ROOT / "samples" / "crossing.log") as recording:
-        paths = recording.trajectories("vehicle")
-    assert vehicles["id"].unique().tolist() == list(paths)
-    assert vehicles["speed"].tolist() == [speed for path in paths.values() for speed in path.speed.tolist()]
-
-
 # --- examples ------------------------------------------------------------------------------------------
 
 
@@ -323,15 +302,17 @@ def scraping(path: Path) -> None:
 
 
 def snippets() -> list[object]:
+    """Return the snippets of all pages, and what is shown below each."""
+    pattern = re.compile(r"^```python\n(.*?)^```(?:\n\n```text\n(.*?)^```)?", re.DOTALL | re.MULTILINE)
     return [
-        pytest.param(code, id=f"{page.name}-{number}")
+        pytest.param(code, shown, id=f"{page.name}-{number}")
         for page in PAGES
-        for number, code in enumerate(blocks(page, "python"), 1)
+        for number, (code, shown) in enumerate(pattern.findall(page.read_text("utf-8")), 1)
     ]
 
 
-@pytest.mark.parametrize("code", snippets())
-def test_a_snippet_runs(working_directory, code):
+@pytest.mark.parametrize(("code", "shown"), snippets())
+def test_a_snippet_runs_and_prints_what_is_shown(working_directory, capsys, code, shown):
     try:
         exec(compile(code, "snippet", "exec"), {"__name__": "snippet"})
     except MissingExtra as error:
@@ -340,6 +321,7 @@ def test_a_snippet_runs(working_directory, code):
         if error.name not in ("carla", "matplotlib"):
             raise
         pytest.skip(f"{error.name} is not installed")
+    assert shown in ("", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(
@@ -440,8 +422,3 @@ def run(command: str) -> tuple[int, str]:
 def lines(text: str) -> list[str]:
     """Return lines without the sizes of files, which differ a little between versions of compressors."""
     return [re.sub(r"\b\d+(\.\d)? (bytes|kB|MB)$", "SIZE", line.rstrip()) for line in text.splitlines()]
-
-
-def test_the_readme_has_examples():
-    assert blocks(PAGES[0], "python")
-    assert any("samples/" in command for command, _ in commands(PAGES[0]))

@@ -45,9 +45,9 @@ def test_the_version_is_that_of_the_package():
     assert carla_recap.__version__ == version("carla-recap")
 
 
-@pytest.mark.parametrize("heavy", ["numpy", "mcap", "google.protobuf", "pandas", "zstandard"])
-def test_importing_the_package_imports_nothing_heavy(heavy):
-    code = f"import sys, carla_recap; sys.exit({heavy!r} in sys.modules)"
+def test_importing_the_package_imports_nothing_heavy():
+    heavy = {"numpy", "mcap", "google.protobuf", "pandas", "zstandard"}
+    code = f"import sys, carla_recap; sys.exit(bool({heavy!r} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE).returncode == 0
 
 
