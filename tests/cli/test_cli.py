@@ -166,7 +166,7 @@ def test_a_terminal_gets_a_table(command, words):
     assert "\nFrames: " not in shown
 
 
-@pytest.mark.parametrize(("actor", "times"), [("hero", ["23.5", "24.6"]), ("105", ["20.9"])])
+@pytest.mark.parametrize(("actor", "times"), [("hero", ["23.50", "24.60"]), ("105", ["20.90"])])
 def test_incidents_of_one_actor(actor, times):
     done = run("incidents", CROSSING, "--actor", actor, "--min-time", "30")
     rows = [line.split() for line in done.stdout.decode().splitlines()[5:-3]]

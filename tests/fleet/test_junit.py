@@ -71,7 +71,7 @@ def test_a_failure_has_what_happened_and_how_to_see_it():
         "12.10 s: a hits b",
         "15.10 s: a hits c",
         "actors: 41, 44",
-        "to see it: carla-recap view 'runs/my run.mcap#t=12.1'",
+        "to see it: carla-recap view 'runs/my run.mcap#t=12.10'",
         "page: pages/my run.html",
     ]
 

@@ -31,7 +31,7 @@ def test_a_recording_is_its_summary_and_a_drawing(shown):
     assert "Map: Brickfield" in shown
     assert "Incidents: 2 collisions, 2 long stops" in shown
     titles = [title.text for title in drawing(shown).iter("{http://www.w3.org/2000/svg}title")]
-    assert titles[0] == "12.1 s: hero collides with walker.pedestrian.0004 (44)"
+    assert titles[0] == "12.10 s: hero collides with walker.pedestrian.0004 (44)"
     assert len(titles) == 4
 
 

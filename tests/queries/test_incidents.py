@@ -327,7 +327,7 @@ def test_reports(make: Make) -> None:
     shown = {name: getattr(answer[0], name) for name in column_names(Incident)}
     expected = shown | {"actors": [1], "type_ids": ["vehicle.audi.tt"]}
     assert row == {name: None if value != value else value for name, value in expected.items()}
-    assert "     0.5        0.0 collision    hero collides with a static object\n" in "".join(text(answer))
+    assert "    0.50       0.00 collision    hero collides with a static object\n" in "".join(text(answer))
     table(answer)
 
 

@@ -76,9 +76,7 @@ def _of_vehicle(frames: Sequence[Frame], id: int, deceleration: float) -> list[I
     intervals: list[Interval] = []
     for first, last in found:
         parts: list[list[int]] = []
-        for row in sorted((row for run in hard for row in run if first <= times[row] <= last), key=lambda row: times[row]):
-            if slopes[row] > TYRES:
-                continue
+        for row in (row for run in hard for row in run if first <= times[row] <= last and slopes[row] <= TYRES):
             if parts and row == parts[-1][-1] + 1 and joined[row - 1]:
                 parts[-1].append(row)
             else:

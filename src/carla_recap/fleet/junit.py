@@ -80,7 +80,7 @@ def how_to_see(recording: str, verdict: Verdict) -> str:
     """Return the command that shows the first offence of a verdict."""
     if verdict.time is None:
         return f"carla-recap view {shlex.quote(recording)}"
-    return f"carla-recap view {shlex.quote(f'{recording}#t={verdict.time:.1f}')}"
+    return f"carla-recap view {shlex.quote(f'{recording}#t={verdict.time:.2f}')}"
 
 
 def _add(suite: Element, checked: CheckedRecording, verdict: Verdict) -> None:

@@ -131,7 +131,8 @@ class BrakingDetector:
     def _hard_of(self, id: int, start: float, stop: float) -> NDArray[np.void]:
         """Return the frames of a time in which a vehicle brakes hard, after `finish`."""
         rows = self._hard_by_id.get(id, np.zeros(0, _HARD))
-        return rows[rows["time"].searchsorted(start) : rows["time"].searchsorted(stop, "right")]
+        rows = rows[rows["time"].searchsorted(start) : rows["time"].searchsorted(stop, "right")]
+        return rows[rows["frame"].argsort()]
 
     def _can_be_braking(self, rows: NDArray[np.void]) -> Booleans:
         """Return which frames of hard braking of a vehicle are of parts that are long enough, and that tyres can do."""

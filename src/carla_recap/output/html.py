@@ -69,7 +69,7 @@ def _drawing(paths: dict[int, Floats], heroes: set[int], found: Iterable[Inciden
     )
     dots = "".join(
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_DOT}" fill="{KINDS[incident.kind].light}">'
-        f"<title>{incident.start:.1f} s: {escape(visible(incident.text))}</title></circle>"
+        f"<title>{incident.start:.2f} s: {escape(visible(incident.text))}</title></circle>"
         for incident in islice(found, _MOST_DOTS)
         for x, y in [(scale * (np.array((incident.x, -incident.y)) - low)).tolist()]
         if np.isfinite((x, y)).all()

@@ -95,13 +95,13 @@ def _blocked(row: BlockedRow) -> str:
 
 
 def _incident(row: Incident) -> str:
-    return f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}"
+    return f"{row.start:>8.2f} {row.stop - row.start:>10.2f} {row.kind:<12} {row.text}"
 
 
 def _measure(row: MeasureRow) -> str:
     other = "" if row.other is None else row.other
     value = f"{row.measure:<22} {row.value:>10.3f} {row.unit:<5}"
-    return f"{row.time:>8.1f} {row.actor:>6} {_padded(row.type_id)} {value} {other:>6} {row.other_type_id}".rstrip()
+    return f"{row.time:>8.2f} {row.actor:>6} {_padded(row.type_id)} {value} {other:>6} {row.other_type_id}".rstrip()
 
 
 def _moment(row: Any) -> str:
