@@ -29,7 +29,7 @@ _COLORS: Final[dict[str, Color]] = {"fail": style.COLLISION, "error": (205, 150,
 _PASS_COLOR: Final[Color] = (50, 160, 90)
 
 
-class Lane(NamedTuple):
+class StateLane(NamedTuple):
     """What a timeline shows of incidents of a kind, or of a rule."""
 
     name: str  # such as `near-miss`, or the name of the rule
@@ -38,7 +38,7 @@ class Lane(NamedTuple):
     calm: tuple[str, Color]  # that state, and its color
 
 
-def incident_lanes(found: Iterable[Incident], elapsed: Floats) -> list[Lane]:
+def incident_lanes(found: Iterable[Incident], elapsed: Floats) -> list[StateLane]:
     """Return a lane for each kind of incidents that happen during some scenes, the most important kind first.
 
     `elapsed` are the moments of all scenes, at least one, in elapsed seconds.
@@ -54,7 +54,7 @@ def incident_lanes(found: Iterable[Incident], elapsed: Floats) -> list[Lane]:
     return [_incident_lane(kind, changes[kind.name], len(seconds)) for kind in KINDS.values() if changes[kind.name]]
 
 
-def _incident_lane(kind: IncidentKind, changes: dict[int, Counter[int]], count: int) -> Lane:
+def _incident_lane(kind: IncidentKind, changes: dict[int, Counter[int]], count: int) -> StateLane:
     """Return the lane of a kind, given how often an incident of each actor begins, less how often one ends, by scene."""
     states, now = ([] if 0 in changes else [(0, NONE)]), Counter[int]()
     for row in sorted(row for row in changes if row < count):
@@ -62,10 +62,10 @@ def _incident_lane(kind: IncidentKind, changes: dict[int, Counter[int]], count: 
         actors = sorted(actor for actor, number in now.items() if number)
         states.append((row, f"{kind.singular}: {', '.join(map(str, actors))}" if actors else NONE))
     red, green, blue = bytes.fromhex(kind.dark[1:])
-    return Lane(kind.option, states, (red, green, blue), (NONE, NO_COLOR))
+    return StateLane(kind.option, states, (red, green, blue), (NONE, NO_COLOR))
 
 
-def verdict_lanes(verdicts: Iterable[Verdict], elapsed: Floats) -> list[Lane]:
+def verdict_lanes(verdicts: Iterable[Verdict], elapsed: Floats) -> list[StateLane]:
     """Return a lane for each verdict: `pass` until the rule is broken, then what breaks it; see `incident_lanes`."""
     seconds = np.maximum.accumulate(elapsed)
     lanes = []
@@ -74,5 +74,5 @@ def verdict_lanes(verdicts: Iterable[Verdict], elapsed: Floats) -> list[Lane]:
         states = [(0, _PASS)] if row or verdict.status == "pass" else []
         if verdict.status != "pass" and row < len(seconds):
             states.append((row, f"{verdict.status}: {verdict.message}"))
-        lanes.append(Lane(verdict.rule, states, _COLORS.get(verdict.status, _PASS_COLOR), (_PASS, _PASS_COLOR)))
+        lanes.append(StateLane(verdict.rule, states, _COLORS.get(verdict.status, _PASS_COLOR), (_PASS, _PASS_COLOR)))
     return lanes

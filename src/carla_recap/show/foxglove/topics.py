@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.follow import FollowedSeries
-    from carla_recap.scene.lanes import Lane
+    from carla_recap.scene.lanes import StateLane
     from carla_recap.show.foxglove.messages import Times, TopicMessages
     from carla_recap.util.arrays import Floats, Indices
 
@@ -313,7 +313,7 @@ def incident_messages(
     return TimedMessages(messages, times, elapsed)
 
 
-def _states(lanes: dict[str, list[Lane]], elapsed: Floats) -> Iterator[TopicMessages]:
+def _states(lanes: dict[str, list[StateLane]], elapsed: Floats) -> Iterator[TopicMessages]:
     """Yield the states of lanes whenever one of them changes, and at the last scene."""
     changes = [
         (row, name, index, text) for name in lanes for index, lane in enumerate(lanes[name]) for row, text in lane.states

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedRecords
-    from carla_recap.scene.lanes import Lane
+    from carla_recap.scene.lanes import StateLane
     from carla_recap.scene.materials import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
     from carla_recap.util.arrays import Floats
@@ -92,7 +92,7 @@ class EventWriter:
         for lane in verdict_lanes(verdicts, clock.seconds):
             self._write_lane(entities.verdict(lane.name), lane, clock)
 
-    def _write_lane(self, path: str, lane: Lane, clock: TimeColumns) -> None:
+    def _write_lane(self, path: str, lane: StateLane, clock: TimeColumns) -> None:
         colors = {text: lane.color for _, text in lane.states} | dict([lane.calm])
         self._stream.log_static(path, rr.StateConfiguration(values=[*colors], colors=[*colors.values()]))
         for row, text in lane.states:
