@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _READING: Final = "read_only"
-_WRITING: Final = "recovery_mode no_wal_writes, storage_version 'v1.5.0', block_size 65536"
+_WRITING: Final = "recovery_mode no_wal_writes, storage_version 'v1.5.0', block_size 65536, row_group_size 20480"
+"""How the file is opened; a checkpoint puts groups of rows together in memory, which takes 100 MB with the usual size."""
 _CONFIG: Final[dict[str, Any]] = {
     "memory_limit": "1GB",
     "threads": 4,  # whose stacks count as memory of the process
