@@ -341,14 +341,6 @@ def test_a_destination_is_not_overwritten_without_force(tmp_path, command):
 # --- conversion and recovery -------------------------------------------------------------------------------
 
 
-def test_a_log_is_converted_and_back(tmp_path):
-    for source, destination in ((CROSSING, "c.mcap"), ("c.mcap", "back.log")):
-        done = run("convert", source, destination, cwd=tmp_path)
-        assert (done.returncode, done.stdout) == (0, b"")
-        assert wrote(done.stderr) == [f"{destination}: 531 frames, 53 s"]
-    assert (tmp_path / "back.log").read_bytes() == CROSSING.read_bytes()
-
-
 def test_recover(tmp_path):
     half = save(tmp_path / "half.log", CROSSING.read_bytes()[: CROSSING.stat().st_size // 2])
     done = run("recover", half, tmp_path / "saved.mcap")

@@ -295,16 +295,9 @@ def test_a_query_waits_for_a_process_that_has_the_index_open_for_a_moment(index)
         assert open_index(index).table("recordings").num_rows == len(NAMES)
 
 
-@pytest.mark.parametrize("query", ["with", "from", "values", "table", "pivot", "unpivot", "describe", "show", "summarize"])
+@pytest.mark.parametrize("query", ["values (1)", "pivot recordings on frames using count(*) group by map", "show tables"])
 def test_queries_begin_with_one_of_several_words(index, query):
-    rest = {
-        "with": "a as (select 1) from a",
-        "values": "(1)",
-        "pivot": "recordings on frames using count(*) group by map",
-        "unpivot": "(select frames from recordings) on frames",
-        "show": "tables",
-    }
-    assert open_index(index).sql(f"{query} {rest.get(query, 'recordings')}").num_rows
+    assert open_index(index).sql(query).num_rows
 
 
 def test_a_recording_of_unknown_size_is_read_again(tmp_path, monkeypatch):

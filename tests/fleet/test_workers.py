@@ -64,8 +64,13 @@ def values(function, count=60):
         return list(map_sources(function, sources(count), jobs=2))
 
 
-def test_a_worker_that_is_killed_loses_no_recording(tmp_path):
-    outcomes = values(partial(end_once, folder=tmp_path))
+def test_a_worker_that_is_killed_loses_no_recording_and_pipes_end_this_process_as_before(tmp_path):
+    before = signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    try:
+        outcomes = values(partial(end_once, folder=tmp_path))
+        assert signal.getsignal(signal.SIGPIPE) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGPIPE, before)
     assert (tmp_path / "ended").exists()
     assert [outcome.value for outcome in outcomes] == [source.location for source in sources(60)]
 
@@ -135,15 +140,6 @@ def test_many_outcomes_are_not_held_while_none_is_asked_for():
         next(outcomes)
     outcomes.close()
     assert taken < 300 + 200
-
-
-def test_errors_do_not_hold_the_signal_for_pipes(tmp_path):
-    before = signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    try:
-        values(partial(end_once, folder=tmp_path))
-        assert signal.getsignal(signal.SIGPIPE) is signal.SIG_DFL
-    finally:
-        signal.signal(signal.SIGPIPE, before)
 
 
 def test_workers_that_are_busy_end_at_once(tmp_path):
