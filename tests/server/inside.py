@@ -26,6 +26,7 @@ class Inside:
 
     Args:
         release: The release of the client.
+        world: The served world; by default a new one with the built-in town.
 
     Attributes:
         world: The served world.
@@ -33,8 +34,8 @@ class Inside:
         client: What the host knows of the client.
     """
 
-    def __init__(self, release: Release | None = None) -> None:
-        self.world = World(_town())
+    def __init__(self, release: Release | None = None, world: World | None = None) -> None:
+        self.world = world or World(_town())
         self.host = Host(self.world, release=release)
         self.client = client_inside(self.host)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
-import carla
 import pytest
 
 from carla_recap.errors import RecapError
@@ -17,18 +17,18 @@ from tests.server.inside import Inside
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import carla
+
 CAR, WALKER, CAMERA, IMU = "vehicle.audi.tt", "walker.pedestrian.0001", "sensor.camera.rgb", "sensor.other.imu"
-COLOUR = "three whole numbers from 0 to 255, as in 255,0,0"
 BAD = [
-    *((CAR, "color", value, COLOUR) for value in ("256,0,0", "1,2", "1,2,3,4", "a,b,c", "-1,0,0", "", "0x1,0,0", "1.5,0,0")),
-    *((CAR, "sticky_control", value, "true or false") for value in ("maybe", "1", "")),
-    (WALKER, "is_invincible", "2", "true or false"),
-    *((WALKER, "speed", value, "a finite number of 32 bits") for value in ("fast", "nan", "inf", "1e39", "1_0", "٣", "")),
-    (CAMERA, "sensor_tick", "1e400", "a finite number of 32 bits"),
-    (CAMERA, "fov", "1e60", "a finite number of 32 bits"),
-    (IMU, "noise_accel_stddev_x", "abc", "a finite number of 32 bits"),
-    *((CAMERA, "image_size_x", value, "a whole number of 32 bits") for value in ("abc", "2147483648", "1.5", "9" * 5000)),
-    *((CAMERA, "image_size_y", value, "1 to 4096 pixels") for value in ("0", "-5", "4097")),
+    *((CAR, "color", value) for value in ("256,0,0", "1,2", "1,2,3,4", "a,b,c", "-1,0,0", "", "0x1,0,0", "1.5,0,0")),
+    *((CAR, "sticky_control", value) for value in ("maybe", "1", "")),
+    (WALKER, "is_invincible", "2"),
+    *((WALKER, "speed", value) for value in ("fast", "nan", "inf", "1e39", "1_0", "٣", "")),
+    (CAMERA, "sensor_tick", "1e400"),
+    (IMU, "noise_accel_stddev_x", "abc"),
+    *((CAMERA, "image_size_x", value) for value in ("abc", "2147483648", "1.5", "9" * 5000)),
+    *((CAMERA, "image_size_y", value) for value in ("0", "-5", "4097")),
 ]
 GOOD = [
     *((CAR, "color", value) for value in ("0,0,0", "255,255,255", "255, 0, 0")),
@@ -44,11 +44,10 @@ def inside() -> Inside:
     return Inside()
 
 
-@pytest.mark.parametrize(("name", "key", "value", "expected"), BAD)
-def test_a_bad_value_is_refused(name: str, key: str, value: str, expected: str) -> None:
-    with pytest.raises(RecapError) as refusal:
+@pytest.mark.parametrize(("name", "key", "value"), BAD)
+def test_a_bad_value_is_refused(name: str, key: str, value: str) -> None:
+    with pytest.raises(RecapError, match=re.escape(f"{name}: {key} of {value[:60]!r}")):
         check_attributes(standard_library().get(name), {key: value})
-    assert str(refusal.value) == f"{name}: {key} of {value[:60]!r}: expected {expected}"
 
 
 @pytest.mark.parametrize(("name", "key", "value"), GOOD)
@@ -75,16 +74,6 @@ def test_each_way_of_spawning_refuses_it(inside: Inside) -> None:
         assert answer[0] == 0
         assert "color of '256,0,0'" in answer[1][0]
     assert len(inside.world.actors) == before
-
-
-def test_a_bad_value_of_one_client_reaches_no_other(world: carla.World, port: int) -> None:
-    bad = world.get_blueprint_library().find(CAR)
-    with pytest.raises(ValueError, match="overflow"):
-        bad.set_attribute("color", "256,0,0")
-    with pytest.raises(RuntimeError, match=r"vehicle\.audi\.tt: color of '256,0,0'"):
-        world.spawn_actor(bad, carla.Transform(carla.Location(600.0, 0.0, 0.5)))
-    world.tick()
-    assert world.get_actors()
 
 
 def test_clients_can_read_the_actors_of_a_recording_with_bad_values(

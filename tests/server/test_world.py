@@ -3,22 +3,41 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.sim.world import World
 from tests.server.client import spawn
 from tests.server.inside import Inside
+from tests.sim.flat import at
+from tests.sim.two_levels import BRIDGE, two_levels
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_a_ray_meets_cars_and_the_road(world: carla.World) -> None:
     car = spawn(world)
-    at = car.get_location()
-    met = world.cast_ray(carla.Location(at.x, at.y, 10.0), carla.Location(at.x, at.y, -5.0))
+    place = car.get_location()
+    met = world.cast_ray(carla.Location(place.x, place.y, 10.0), carla.Location(place.x, place.y, -5.0))
     assert [point.label for point in met] == [carla.CityObjectLabel.Car, carla.CityObjectLabel.Roads]
     assert [point.location.z for point in met] == pytest.approx([2 * car.bounding_box.extent.z, 0.0], abs=0.02)
-    assert world.cast_ray(at + carla.Location(z=10.0), at + carla.Location(z=20.0)) == []
+    assert world.cast_ray(place + carla.Location(z=10.0), place + carla.Location(z=20.0)) == []
+
+
+def test_rays_and_projections_meet_their_level(tmp_path: Path) -> None:
+    inside = Inside(world=World(str(two_levels(tmp_path))))
+    car, _ = (inside.world.spawn("vehicle.tesla.model3", at(0.0, 1.75, z=z + 0.3)) for z in (0.0, BRIDGE))
+    inside.host.tick()
+    height = 2 * car.box.extent.z
+    for top, expected in ((12.0, [BRIDGE + height, BRIDGE]), (5.0, [height, 0.0])):
+        met = inside.call("cast_ray", [0.0, 1.75, top], [0.0, 1.75, expected[-1] - 1])
+        assert [location[2] for location, _ in met] == pytest.approx(expected, abs=0.05)
+    _, (location, _) = inside.call("project_point", [20.0, 1.75, 3.0], [0.0, 0.0, -1.0], 10.0)
+    assert location[2] == pytest.approx(0.0, abs=0.02)
 
 
 def test_places_are_projected(world: carla.World) -> None:
@@ -42,6 +61,11 @@ def test_the_map_has_lights_and_signs_by_itself(world: carla.World) -> None:
     world.enable_environment_objects({objects[0].id}, False)
 
 
+def test_the_weather_is_kept(world: carla.World) -> None:
+    world.set_weather(carla.WeatherParameters.HardRainNoon)
+    assert world.get_weather() == carla.WeatherParameters.HardRainNoon
+
+
 def test_unsupported_calls_are_accepted(world: carla.World) -> None:
     here, there = carla.Location(), carla.Location(1.0, 1.0, 1.0)
     world.debug.draw_point(here)
@@ -58,6 +82,7 @@ def test_unsupported_calls_are_accepted(world: carla.World) -> None:
     assert world.get_imui_sensor_gravity() == pytest.approx(9.81)
     lights = world.get_lightmanager()
     assert lights.get_all_lights() == []
+    lights.turn_on([])
     lights.set_day_night_cycle(False)
     world.set_annotations_traverse_translucency(True)
     assert world.tick() > 0
