@@ -267,7 +267,7 @@ class WorldMachine(RuleBasedStateMachine):
     @rule(start=st.sampled_from((0.0, 1.0)), factor=st.sampled_from((1.0, 0.0, 3.0)), sensors=flags)
     def replay(self, start: float, factor: float, sensors: bool) -> None:
         self.note("replay", start, factor, sensors)
-        self.world.set_replayer_time_factor(factor)
+        self.world.replayer.time_factor = factor
         self.world.replay_file(self.recording, start, 0.0, None, sensors)
 
     @precondition(lambda self: self.world.episode.replayed is not None)

@@ -123,7 +123,7 @@ def test_the_queue_drives_on_when_the_van_is_destroyed(town):
     world = World(town, date=0)
     actors = Blockage(world)
     world.run(25)
-    world.destroy(actors.van)
+    actors.van.destroy()
     world.run(8)
     assert world.vehicles.speed.min() > 2
 

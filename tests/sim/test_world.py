@@ -33,7 +33,7 @@ def test_ids_count_from_1_and_are_never_used_again() -> None:
     assert list(world.actors) == [1]
     assert world.actors[1] is world.spectator
     first = vehicle(world)
-    world.destroy(first)
+    first.destroy()
     second = vehicle(world)
     assert (first.id, second.id) == (2, 3)
     world.reload()
@@ -114,9 +114,9 @@ def test_using_a_destroyed_actor_is_an_error() -> None:
 def test_actors_of_the_town_cannot_be_destroyed() -> None:
     world = flat_world(signals=[light(0, (0,))])
     with pytest.raises(SimError, match="belongs to the town"):
-        world.destroy(world.spectator)
+        world.spectator.destroy()
     with pytest.raises(SimError, match="belongs to the town"):
-        world.destroy(world.traffic_lights[0])
+        world.traffic_lights[0].destroy()
 
 
 def test_children_move_with_their_parent_and_are_destroyed_with_it() -> None:
@@ -171,8 +171,8 @@ def test_the_events_of_a_tick_are_those_since_the_last_one() -> None:
 def test_rows_follow_their_actors() -> None:
     world = flat_world()
     cars = [vehicle(world, 10.0 * number) for number in range(5)]
-    world.destroy(cars[1])
-    world.destroy(cars[3])
+    cars[1].destroy()
+    cars[3].destroy()
     rest = [cars[0], cars[2], cars[4]]
     assert world.vehicles.actors == rest
     assert world.vehicles.id.tolist() == [car.id for car in rest]

@@ -123,7 +123,7 @@ def replay(
     path = find_recording(Path(source).absolute())
     check_destination(path, destination, force=force)
     with _world(town) as world:
-        world.set_replayer_ignore_hero(ignore_hero)
+        world.replayer.ignore_hero = ignore_hero
         played = world.replay_file(path, start or 0.0, duration or 0.0, keep_town=town is not None)
         with _recording(world, destination, additional_data=additional_data, force=force) as notes:
             _watch("replaying", played.duration, _replayed(world))

@@ -18,6 +18,8 @@ from carla_recap.sim.actors.stepping import ActorMotion
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.episode import ActorIds, Episode, transforms
 from carla_recap.sim.errors import SimError
+from carla_recap.sim.recording.recorder import WorldRecorder
+from carla_recap.sim.replaying.replayer import Replayer, find_recording, finished
 from carla_recap.sim.settings import Clock, Settings, Weather
 from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.traffic.traffic import Traffic
@@ -30,8 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.blueprints import Blueprint
     from carla_recap.sim.episode import Actor, TickEvents
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.recording.recorder import WorldRecorder
-    from carla_recap.sim.replaying.replayer import Replay, Replayer
+    from carla_recap.sim.replaying.replayer import Replay
 
 _DELTA: Final = 0.05  # s: the default length of a tick
 _ROUNDING: Final = 1e-6
@@ -72,7 +73,8 @@ class World:
         listeners: What is called at the end of each tick.
         recordings: The folder of recordings, if one was given.
         maps: The folder of maps, if one was given.
-        parameters: What recordings as MCAP say that the world is run with, as texts.
+        recorder: The recorder.
+        replayer: The replayer.
         on_error: Called with what raises in a tick (a controller, trigger or listener) and the error; else the tick raises.
 
     Raises:
@@ -96,17 +98,18 @@ class World:
         self.blueprints = standard_library()
         self.settings = Settings(fixed_delta_seconds=fixed_delta_seconds)
         self.random = np.random.default_rng(seed)
-        self._date = date
-        self.controllers: list[Controller] = []
-        self.listeners: list[Callable[[], None]] = []
         self.on_error: Callable[[object, Exception], None] | None = None
         self.recordings = recordings
         self.maps = None if maps is None else Path(maps)
-        self.parameters: Mapping[str, str] = {name: str(value) for name, value in (parameters or {}).items()}
-        self._recorder: WorldRecorder | None = None
-        self._replayer: Replayer | None = None
         self._ids = ActorIds()
         self._begin(1, self._load("" if town is None else town), fixed_delta_seconds or _DELTA)
+        texts = {name: str(value) for name, value in (parameters or {}).items()}
+        self.recorder, self.replayer = (
+            WorldRecorder(self.episode, recordings, date, texts),
+            Replayer(self.episode, self.maps),
+        )
+        self.controllers: list[Controller] = [self.replayer]
+        self.listeners: list[Callable[[], None]] = [self.recorder]  # what other listeners do belongs to the next tick
 
     def _begin(self, number: int, town: Town, delta: float) -> None:
         """Begin an episode."""
@@ -117,10 +120,6 @@ class World:
         self.actors: Mapping[int, Actor] = MappingProxyType(episode.actors)
         self.traffic_lights = traffic_lights(episode)
         self._traffic, self._motion = Traffic(episode), ActorMotion(episode)
-        if self._recorder is not None:
-            self._recorder.episode = episode
-        if self._replayer is not None:
-            self._replayer.enter(episode)
 
     def _load(self, town: Town | str | Path) -> Town:
         return town if isinstance(town, Town) else load_town(town, self.maps)
@@ -192,44 +191,18 @@ class World:
         """Spawn an actor, even where others are; see `spawn`, and for `wanted_id` `spawning.place`."""
         return spawning.place(self.episode, blueprint, transform, parent, attributes, wanted_id)
 
-    def destroy(self, actor: Actor) -> bool:
-        """Destroy an actor and what is attached to it; see `Actor.destroy`."""
-        return actor.destroy()
-
     # --- the recorder and the replayer --------------------------------------------------------------------------------
-
-    @property
-    def recorder(self) -> WorldRecorder:
-        """The recorder; made when first used."""
-        if self._recorder is None:
-            from carla_recap.sim.recording.recorder import WorldRecorder
-
-            self._recorder = WorldRecorder(self.episode, self.recordings, self._date, self.parameters)
-            self.listeners.insert(0, self._recorder)  # what other listeners do belongs to the next tick
-        return self._recorder
-
-    @property
-    def replayer(self) -> Replayer:
-        """The replayer; made when first used."""
-        if self._replayer is None:
-            from carla_recap.sim.replaying.replayer import Replayer
-
-            self._replayer = Replayer(self.episode, self.maps)
-            self.controllers.append(self._replayer)
-        return self._replayer
 
     def start_recorder(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
         """Begin a recording, which replaces an older one of that name, as in CARLA; see `WorldRecorder.start`.
 
         The first frame is the end of the next tick; between `replay_file` and the next tick, it is the start of the replay.
         """
-        now = self._replayer is not None and self._replayer.shows_start
-        return self.recorder.start(name, additional_data, force=force, now=now)
+        return self.recorder.start(name, additional_data, force=force, now=self.replayer.shows_start)
 
     def stop_recorder(self) -> None:
         """Complete the recording, if there is one."""
-        if self._recorder is not None:
-            self._recorder.stop()
+        self.recorder.stop()
 
     def replay_file(
         self,
@@ -249,12 +222,9 @@ class World:
         Warns:
             RecapWarning: A recorder was running; see `Replayer.begin` for others.
         """
-        from carla_recap.sim.replaying.replayer import find_recording, finished
-
-        recorded = None if self._recorder is None else self._recorder.path
-        if recorded is not None:
+        if self.recorder.path is not None:
             reason = "a replay begins, which stops the recorder; start it after replay_file to record the replay"
-            warnings.warn(f"{recorded}: ends here: {reason}", RecapWarning, stacklevel=2)
+            warnings.warn(f"{self.recorder.path}: ends here: {reason}", RecapWarning, stacklevel=2)
         self.stop_replayer()
         self.stop_recorder()
         opened = self.replayer.open(find_recording(name, self.recordings), start, duration, follow)
@@ -262,20 +232,7 @@ class World:
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one; see `Replayer.stop`."""
-        if self._replayer is not None:
-            self._replayer.stop(keep_actors)
-
-    def set_replayer_time_factor(self, factor: float) -> None:
-        """Set the time of a recording that is replayed per simulated time."""
-        self.replayer.time_factor = factor
-
-    def set_replayer_ignore_hero(self, ignore: bool) -> None:
-        """Set whether the next replays leave the hero out."""
-        self.replayer.ignore_hero = ignore
-
-    def set_replayer_ignore_spectator(self, ignore: bool) -> None:
-        """Set whether the next replays leave the spectator out."""
-        self.replayer.ignore_spectator = ignore
+        self.replayer.stop(keep_actors)
 
     def close(self) -> None:
         """Complete the recording and end the replay, if there are any."""
@@ -369,3 +326,5 @@ class World:
         self.close()
         self.episode.close()
         self._begin(self.episode.number + 1, town, self.delta)
+        self.recorder.episode = self.episode
+        self.replayer.enter(self.episode)

@@ -464,7 +464,7 @@ def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_othe
         runners[car.id] = car, car.transform.location, world.traffic_lights[number].id
     for other in populate(world, 30, 0):  # those around would be pushed
         if any(other.transform.location.distance(car.transform.location) < 60 for car, *_ in runners.values()):
-            world.destroy(other)
+            other.destroy()
     recording = world.start_recorder(tmp_path / "runs.mcap")
     crossed: dict[int, float] = {}
     start = world.elapsed

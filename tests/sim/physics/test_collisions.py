@@ -158,7 +158,7 @@ def test_after_a_crash_one_drives_on() -> None:
     hero = spawn_car(world, at(0.0), speed=5.0, role_name="hero")
     other = spawn_car(world, at(8.0))
     world.run(5)
-    world.destroy(other)
+    other.destroy()
     hero.apply_control(VehicleControl(throttle=0.5))
     before = hero.transform.location.x
     world.run(4)

@@ -170,7 +170,7 @@ def test_physics_are_recorded_in_the_units_of_carla(tmp_path: Path) -> None:
 def test_actors_that_come_and_go_are_recorded_when_they_do(tmp_path: Path) -> None:
     world = flat_world()
     early = spawn_car(world, at(10.0))
-    world.destroy(early)
+    early.destroy()
     stays = spawn_car(world, at(10.0))
     world.recorder.start(tmp_path / "a.mcap", True, in_process=True)
     world.tick()
@@ -178,7 +178,7 @@ def test_actors_that_come_and_go_are_recorded_when_they_do(tmp_path: Path) -> No
     sensor = world.spawn("sensor.other.collision", Transform(Location(1.0)), parent=late)
     world.tick()
     world.tick()
-    world.destroy(late)
+    late.destroy()
     world.tick()
     world.close()
     found = frames(tmp_path / "a.mcap")

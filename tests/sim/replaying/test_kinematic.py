@@ -45,7 +45,7 @@ def written(path: Path, pose: Callable[[float], Any], interval: float = 0.05, fi
 def replayed(path: Path, delta: float = 0.05, factor: float = 1.0) -> World:
     world = flat_world()
     world.settings.fixed_delta_seconds = delta
-    world.set_replayer_time_factor(factor)
+    world.replayer.time_factor = factor
     world.replay_file(path)
     return world
 
@@ -75,9 +75,9 @@ def test_the_acceleration_is_that_of_the_recording_whatever_the_ticks(tmp_path: 
 def test_a_slow_replay_accelerates_less(tmp_path: Path) -> None:
     world = replayed(written(tmp_path / "car.mcap", speeding_up), factor=0.5)
     assert accelerations(world, 40)[10:] == pytest.approx([0.5] * 30, abs=0.01)
-    world.set_replayer_time_factor(0.0)
+    world.replayer.time_factor = 0.0
     assert accelerations(world, 3) == [0.0] * 3
-    world.set_replayer_time_factor(1.0)
+    world.replayer.time_factor = 1.0
     assert accelerations(world, 10) == pytest.approx([2.0] * 10, abs=0.02)
 
 

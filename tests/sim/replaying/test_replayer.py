@@ -70,7 +70,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
             world.weather = PRESETS["HardRainNoon"]
         if tick == 120:
             assert guest is not None
-            world.destroy(guest)
+            guest.destroy()
         world.spectator.transform = at(tick / 10, -10.0, z=5.0)
         world.tick()
     world.close()
@@ -215,7 +215,7 @@ def test_between_frames_poses_are_interpolated_unless_time_flies(drive: Path) ->
     where = np.searchsorted(way.time, 5.0 - 1e-6)
     assert played(world, 4).transform.location.x == pytest.approx(way.x[where : where + 2].mean(), abs=1e-3)
     world = new_world()
-    world.set_replayer_time_factor(20.0)
+    world.replayer.time_factor = 20.0
     assert world.replay_file(drive).time_factor == 20
     seen = []
     for _ in range(9):
@@ -229,7 +229,7 @@ def test_the_time_factor_can_change_on_the_way(drive: Path) -> None:
     world = new_world()
     world.replay_file(drive)
     for factor, ticks in ((0.5, 40), (1.5, 40), (0.0, 20), (1.0, 20)):
-        world.set_replayer_time_factor(factor)
+        world.replayer.time_factor = factor
         for _ in range(ticks):
             world.tick()
     with carla_recap.open_recording(drive) as recording:
@@ -237,7 +237,7 @@ def test_the_time_factor_can_change_on_the_way(drive: Path) -> None:
     assert played(world, 4).transform.location.x == pytest.approx(np.interp(5.0, way.time, way.x), abs=1e-3)
     for factor in (-1.0, float("nan"), float("inf")):
         with pytest.raises(SimError, match="a time factor of"):
-            world.set_replayer_time_factor(factor)
+            world.replayer.time_factor = factor
     assert world.replayer.time_factor == 1
 
 
@@ -247,7 +247,7 @@ def test_the_spectator_stays_unless_it_is_asked_for(drive: Path) -> None:
     play(world, drive, 100)
     assert world.spectator.transform == at(1.0, 2.0, z=3.0)
     world.stop_replayer()
-    world.set_replayer_ignore_spectator(False)
+    world.replayer.ignore_spectator = False
     play(world, drive, 100)
     place = world.spectator.transform.location
     assert (place.x, place.y, place.z) == pytest.approx((10.0, -10.0, 5.0), abs=1e-4)
@@ -288,7 +288,7 @@ def test_no_actor_to_follow_and_one_that_does_not_exist(drive: Path) -> None:
 
 def test_the_hero_can_be_left_out(drive: Path) -> None:
     world = new_world()
-    world.set_replayer_ignore_hero(True)
+    world.replayer.ignore_hero = True
     play(world, drive, 60)
     assert world.replayer.mapping.keys() == {2, 3, 5, 6, 7, 8}
 
@@ -310,7 +310,7 @@ def test_the_sensors_of_a_hero_that_is_left_out_are_left_out(tmp_path: Path) -> 
     world.spawn("sensor.other.collision", Transform(), parent=spawn_car(world, at(20.0), AUDI, role_name="hero"))
     record(world, tmp_path / "a.log", 20)
     world = new_world()
-    world.set_replayer_ignore_hero(True)
+    world.replayer.ignore_hero = True
     play(world, tmp_path / "a.log", 5, replay_sensors=True)
     assert world.replayer.mapping.keys() == {2, 3}
 
@@ -420,8 +420,8 @@ def test_an_actor_that_is_destroyed_in_the_recording_is_destroyed(drive: Path) -
 def test_a_replay_goes_on_without_actors_that_are_destroyed(drive: Path) -> None:
     world = new_world()
     play(world, drive, 20)
-    world.destroy(played(world, 4))
-    world.destroy(played(world, 7))
+    played(world, 4).destroy()
+    played(world, 7).destroy()
     world.tick()
     assert world.replayer.mapping.keys() == {2, 3, 5, 6}
     assert play_out(world) > 100
@@ -454,7 +454,7 @@ def test_a_replay_goes_on_when_a_parent_is_destroyed_whose_child_is_still_record
 
 def test_actors_that_come_and_go_between_two_ticks_leave_nothing_behind(drive: Path) -> None:
     world = new_world()
-    world.set_replayer_time_factor(100.0)
+    world.replayer.time_factor = 100.0
     world.replay_file(drive, start=1.5)
     world.tick()  # from 1.5 s to 6.5 s: actor 8 has come and gone
     assert world.replayer.mapping.keys() == {2, 3, 4, 5, 6, 7}
@@ -653,7 +653,7 @@ def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path,
 @pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_the_speed_afterwards_is_the_recorded_one_whatever_the_time_factor(drive: Path, factor: float) -> None:
     world = new_world()
-    world.set_replayer_time_factor(factor)
+    world.replayer.time_factor = factor
     world.replay_file(drive, duration=5.0)
     play_out(world)
     with carla_recap.open_recording(drive) as recording:
@@ -693,7 +693,7 @@ def test_actors_that_were_kept_play_the_same_recording_again(drive: Path) -> Non
     world.run(1.0)
     play(world, drive, 20)
     assert played(world, 4) is hero
-    world.destroy(hero)
+    hero.destroy()
     play(world, drive, 20)
     assert played(world, 4) is not hero
 
@@ -871,7 +871,7 @@ def of_another_map(recording: Path, path: Path) -> Path:
 def test_recordings_of_carla_replay_in_their_town(name: str, spectator: int, hero: int) -> None:
     path = carla_log(f"carla-{name}-lane-center.log")
     world = World(load_town(), seed=1, date=0, maps=town("Town01").parent)
-    world.set_replayer_ignore_spectator(False)
+    world.replayer.ignore_spectator = False
     replay = world.replay_file(path)
     assert replay.loaded
     assert world.town.name == "Town01"
@@ -924,7 +924,7 @@ def test_records_that_are_out_of_range_are_left_out(tmp_path: Path, bad: float) 
             others = {"weather": {"cloudiness": [bad * 1e6]}, "doors": {"id": [9], "door": [200], "open": [1]}}
             recording.add_frame(frame * DELTA, spawned=spawns * (not frame), transforms=rows, **others)
     world = new_world()
-    world.set_replayer_ignore_spectator(False)
+    world.replayer.ignore_spectator = False
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         world.replay_file(tmp_path / "a.log", follow=9)

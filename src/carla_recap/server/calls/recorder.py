@@ -141,19 +141,19 @@ def stop_replayer(client: Client, keep_actors: bool) -> None:
 @call
 def set_replayer_time_factor(client: Client, factor: float) -> None:
     """Set the number of seconds of a recording that pass in a second, of this replay and of later ones."""
-    client.host.world.set_replayer_time_factor(factor)
+    client.host.world.replayer.time_factor = factor
 
 
 @call
 def set_replayer_ignore_hero(client: Client, ignore: bool) -> None:
     """Set whether later replays leave the hero out."""
-    client.host.world.set_replayer_ignore_hero(ignore)
+    client.host.world.replayer.ignore_hero = ignore
 
 
 @call
 def set_replayer_ignore_spectator(client: Client, ignore: bool) -> None:
     """Set whether later replays leave the spectator alone."""
-    client.host.world.set_replayer_ignore_spectator(ignore)
+    client.host.world.replayer.ignore_spectator = ignore
 
 
 async def _answer(client: Client, name: str, query: recordings.Query) -> EncodedText:
