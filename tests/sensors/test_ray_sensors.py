@@ -11,7 +11,8 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import MissingExtra, RecapWarning
-from carla_recap.sensors.ray_sensors import Moment, RayProcess, RaySensors, Setup
+from carla_recap.sensors.ray_process import Moment, RayProcess, Setup
+from carla_recap.sensors.ray_sensors import RaySensors
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.util.child import ChildEnded
 from tests.rendering.shapes import PLANE, boxes
@@ -42,12 +43,13 @@ def moment() -> Moment:
 def measured(count: int = 3) -> list[dict[str, bytes]]:
     """Return what the sensors measure in this process at some moments."""
     sensors = RaySensors(Setup(PLANE.tiles, (), tuple(RIG)))
-    return [{id: points.tobytes() for id, points in sensors.measure(moment())[0].items()} for _ in range(count)]
+    return [{id: points.tobytes() for id, points in sensors.begin(moment())()[0].items()} for _ in range(count)]
 
 
 def test_the_process_measures_as_the_sensors_do() -> None:
     pytest.importorskip("embreex")
     process = RayProcess(PLANE.tiles, tuple(RIG))
+    process.wait()
     for _ in range(3):
         process.begin(moment())
     found = [process.points() for _ in range(3)]  # stays as it is when others come
@@ -67,6 +69,7 @@ def test_rays_that_are_cast_in_parts_hit_the_same(monkeypatch: pytest.MonkeyPatc
 def test_a_process_that_is_killed_is_an_error() -> None:
     pytest.importorskip("embreex")
     process = RayProcess(PLANE.tiles, tuple(RIG))
+    process.wait()
     os.kill(process.pid, signal.SIGKILL)
     process.begin(moment())
     with pytest.raises(ChildEnded, match="casts rays has ended with exit code -9"):
@@ -77,8 +80,10 @@ def test_a_process_that_is_killed_is_an_error() -> None:
 def test_missing_embree_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "embreex.py").write_text("raise ImportError")
     monkeypatch.syspath_prepend(str(tmp_path))
+    process = RayProcess(PLANE.tiles, tuple(RIG))
     with pytest.raises(MissingExtra, match="cameras"):
-        RayProcess(PLANE.tiles, tuple(RIG))
+        process.wait()
+    process.close()
 
 
 def test_too_many_rays_are_a_warning_of_the_caller(tmp_path: Path) -> None:

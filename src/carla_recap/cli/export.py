@@ -361,10 +361,13 @@ def sense(request: WriteRequest, **given: Any) -> None:
 
 def _sense(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.show.foxglove.layouts import hints_of
-    from carla_recap.show.foxglove.sensed import export_sensed
+    from carla_recap.sensors.ray_process import processes_for
+    from carla_recap.util.child import started_ahead
 
-    with opening.opened_part(source, given) as (recording, part):
+    with started_ahead(*processes_for(given["rig"])), opening.opened_part(source, given) as (recording, part):
+        from carla_recap.show.foxglove.layouts import hints_of
+        from carla_recap.show.foxglove.sensed import export_sensed
+
         done = export_sensed(recording, destination, force=force, progress=watch_scenes("sensing"), **part)
     samples = sum(done.samples.values())
     notes = counted(len(done.samples), "sensor"), counted(samples, "sample")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import RecapError
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from carla_recap.rendering.process import Moment, Setup
 
 
-def _prepare(setup: Setup) -> Callable[[Moment], list[Images]]:
-    """Return what draws moments."""
+def _prepare(setup: Setup) -> Callable[[Moment], Callable[[], list[Images]]]:
+    """Return what returns what draws a moment."""
     models = MODELS if setup.loads_models else Models()
     for model in setup.models:
         models.append(model)  # type: ignore[arg-type]  # which has all that is drawn
@@ -30,7 +31,7 @@ def _prepare(setup: Setup) -> Callable[[Moment], list[Images]]:
             for view in moment.views
         ]
 
-    return draw
+    return lambda moment: partial(draw, moment)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import check_quality
-from carla_recap.scene.models import own_models
 from carla_recap.util.child import Child, ChildEnded, new_child
 
 if TYPE_CHECKING:
@@ -43,6 +42,18 @@ class Shape(NamedTuple):
     mesh: Mesh
     pivots: NDArray[np.float32]
     steered: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, model: ModelShape) -> Shape:
+        """Return the shape of a model."""
+        return cls(model.mesh, model.pivots, model.steered)
+
+
+def own_shapes() -> list[Shape]:
+    """Return the models that users have added."""
+    from carla_recap.scene.models import own_models
+
+    return [Shape.of(model) for model in own_models()]
 
 
 class Tiles:
@@ -108,8 +119,7 @@ class RenderProcess:
 
         @cache
         def setup() -> Setup:
-            used = own_models() if models is None else models
-            shapes = [Shape(model.mesh, model.pivots, model.steered) for model in used]
+            shapes = own_shapes() if models is None else [Shape.of(model) for model in models]
             return Setup(Tiles(town() if callable(town) else town), models is None, shapes, quality, supersampling)
 
         self._setup = setup

@@ -93,7 +93,9 @@ def rotations(poses: Floats) -> Floats:
     """Return the rotations of right-handed poses as matrices: their columns point forward, left and up."""
     angles = np.radians(poses[..., ROTATION])
     with np.errstate(invalid="ignore"):  # of infinite angles
-        (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
+        sines, cosines = np.sin(angles), np.cos(angles)
+    sr, sp, sy = (sines[..., axis] for axis in range(3))
+    cr, cp, cy = (cosines[..., axis] for axis in range(3))
     found = np.empty((*angles.shape, 3), angles.dtype)
     found[..., 0, 0], found[..., 0, 1], found[..., 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     found[..., 1, 0], found[..., 1, 1], found[..., 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr

@@ -206,6 +206,7 @@ class _Maker:
                 except RecapError as error:
                     raise RecapError(f"sensor {spec.id!r}: {error}") from None
             self._calibration = self._add("calibration", CameraCalibration)
+            self._calibrated = _calibration(self._id, self._camera)  # without a time
         self._topic = self._add(name, schema)
 
     @property
@@ -216,8 +217,9 @@ class _Maker:
     def messages(self, sample: Sample, stamp: Stamp) -> Iterator[SensorMessage]:
         """Yield the messages of a sample."""
         if self._camera is not None:
-            message = _calibration(self._id, self._camera, stamp)
-            yield SensorMessage(self._calibration, sample.time, message.SerializeToString())
+            calibration = CameraCalibration(timestamp=stamp)
+            calibration.MergeFrom(self._calibrated)
+            yield SensorMessage(self._calibration, sample.time, calibration.SerializeToString())
         message = self._make(sample.data, stamp, sample.time)
         yield SensorMessage(self._topic, sample.time, message.SerializeToString())
 
@@ -317,10 +319,9 @@ def _descriptors(schema: type[Message]) -> bytes:
     return data
 
 
-def _calibration(id: str, camera: Camera, stamp: Stamp) -> Message:
+def _calibration(id: str, camera: Camera) -> CameraCalibration:
     focal, across, down = camera.focal_length, camera.width / 2, camera.height / 2
     return CameraCalibration(
-        timestamp=stamp,
         frame_id=id,
         width=camera.width,
         height=camera.height,

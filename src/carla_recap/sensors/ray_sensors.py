@@ -1,39 +1,30 @@
-"""The lidars and radars of a rig, in a process of their own: others need not wait while rays are cast."""
+"""What the process that casts rays runs: the lidars and radars of a rig; see `carla_recap.sensors.ray_process`."""
 
 from __future__ import annotations
 
 import os
-import warnings
 from abc import ABC, abstractmethod
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.errors import RecapWarning
-from carla_recap.rendering.process import Shape
 from carla_recap.rendering.rays import RayScene, SurfaceHits
 from carla_recap.replay.pose import LOCATION, MIRROR, rotations
-from carla_recap.scene.models import MODELS, own_models
+from carla_recap.scene.models import MODELS
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
-from carla_recap.util.child import answer_requests, new_child
+from carla_recap.util.child import answer_requests
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     from carla_recap.scene.instances import Instances
-    from carla_recap.scene.mesh import Mesh
+    from carla_recap.sensors.ray_process import Moment, Points, Setup
     from carla_recap.sensors.rig import SensorSpec
-    from carla_recap.util.arrays import Floats, Ids
+    from carla_recap.util.arrays import Floats
 
-    Points = dict[str, NDArray[np.void]]
-
-RAYS: Final = ("carla_recap.sensors.ray_sensors", "casts rays", 4)
-"""The arguments of the `Child` that casts rays. More moments than the three that images are drawn ahead."""
-RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
-"""The kinds of sensors that cast rays."""
 POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 """A point of a lidar: x forward, y left, z up in m; the intensity from 0 to 1."""
 SEMANTIC_POINT: Final = np.dtype(
@@ -47,68 +38,6 @@ _RAYS_OF_A_PART: Final = 1 << 16  # cast by one thread at a time
 _MOST_THREADS: Final = 3  # that cast rays; more wait for Python's lock
 
 
-class Setup(NamedTuple):
-    """The first request to the process: what the rays meet, and the sensors."""
-
-    tiles: Sequence[Mesh]
-    models: Sequence[Shape]  # of users, behind those of this package
-    specs: Sequence[SensorSpec]
-
-
-class Moment(NamedTuple):
-    """What rays are cast in, and for which sensors."""
-
-    due: Sequence[tuple[str, Floats]]  # the ids of sensors, and their poses in m and degrees, right-handed
-    step: float  # the seconds since the moment before
-    instances: Instances  # what is seen of the actors
-    ids: Ids  # of actors, ascending
-    velocities: Floats | None  # of these in m/s, right-handed, (ids, 3); None without a radar
-    velocity: Floats | None  # that of the carrier; None without a radar
-
-
-class RayProcess:
-    """The process that casts rays, for a town and sensors.
-
-    Raises:
-        MissingExtra: Embree is not installed.
-        RecapError: The process cannot be started.
-    """
-
-    def __init__(self, tiles: Sequence[Mesh], specs: Sequence[SensorSpec]) -> None:
-        models = [Shape(model.mesh, model.pivots, model.steered) for model in own_models()]
-        self._child = new_child(*RAYS)
-        try:
-            self._child.send(Setup(tiles, models, specs))
-            self._child.receive()
-        except BaseException:
-            self._child.close()
-            raise
-
-    @property
-    def pid(self) -> int:
-        """The id of the process."""
-        return self._child.process.pid
-
-    def begin(self, moment: Moment) -> None:
-        """Have the rays of a moment cast."""
-        self._child.send(moment)
-
-    def points(self) -> Points:
-        """Return what sensors measure by their ids, at the first moment that was begun and not asked for.
-
-        Warns:
-            RecapWarning: A sensor casts fewer rays than it should.
-        """
-        found, said = self._child.receive()
-        for text in said:
-            warnings.warn(text, RecapWarning, stacklevel=2)
-        return {id: points.copy() for id, points in found.items()}
-
-    def close(self) -> None:
-        """End the process."""
-        self._child.close()
-
-
 class RaySensors:
     """The lidars and radars of a rig. Moments come in order of time."""
 
@@ -120,8 +49,8 @@ class RaySensors:
         self._sensors = {spec.id: _SENSORS[spec.kind](spec, self._said.append) for spec in setup.specs}
         self._threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-rays")
 
-    def measure(self, moment: Moment) -> tuple[Points, list[str]]:
-        """Return what sensors measure by their ids, and warnings."""
+    def begin(self, moment: Moment) -> Callable[[], tuple[Points, list[str]]]:
+        """Begin to cast the rays of a moment; return what waits for what sensors measure, by their ids, and warnings."""
         begun = []
         for id, pose in moment.due:
             sensor = self._sensors[id]
@@ -133,12 +62,16 @@ class RaySensors:
                 for part in parts
             ]
             begun.append((sensor, id, pose, rays, firsts, cast))
-        found = {
-            id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
-            for sensor, id, pose, rays, firsts, cast in begun
-        }
-        said, self._said[:] = self._said[:], []
-        return found, said
+
+        def measured() -> tuple[Points, list[str]]:
+            found = {
+                id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
+                for sensor, id, pose, rays, firsts, cast in begun
+            }
+            said, self._said[:] = self._said[:], []
+            return found, said
+
+        return measured
 
     def _cast(self, place: Floats, turn: Floats, rays: Floats, reach: float, instances: Instances) -> SurfaceHits:
         return self._scene.cast(place, rays @ turn, reach, instances)
@@ -225,4 +158,4 @@ _SENSORS: Final[Mapping[str, type[_RaySensor]]] = {
 
 
 if __name__ == "__main__":
-    answer_requests(lambda setup: RaySensors(setup).measure)
+    answer_requests(lambda setup: RaySensors(setup).begin)

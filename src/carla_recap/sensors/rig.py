@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.sensors.kinds import LEADERBOARD_CHOICES, SENSOR_TYPES, SensorAttribute
-from carla_recap.sensors.ros_objects import sensors_of_objects
 from carla_recap.util.files import read_document
 from carla_recap.util.text import first_of, visible
 
@@ -239,6 +238,8 @@ class _Members(dict[str, Any]):
 def _rig(sensors: object, name: str, *, leaderboard: bool) -> SensorRig:
     """Return the rig of dicts, which may be anything; the name is what they are called in errors."""
     if isinstance(sensors, Mapping) and "objects" in sensors:
+        from carla_recap.sensors.ros_objects import sensors_of_objects  # which imports what replays
+
         sensors = sensors_of_objects(sensors["objects"], name)
     if not isinstance(sensors, Sequence) or isinstance(sensors, (str, bytes)):
         raise RecapError(f"{name}: {_shown(sensors)}; a list of sensors was expected")

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -23,7 +23,6 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, find_actor, heroes_of
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import CM
-from carla_recap.rendering.process import DRAWING
 from carla_recap.replay import Player
 from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.pose import ANGULAR_MIRROR, LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
@@ -35,12 +34,12 @@ from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
 from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, acceleration_at, geo_reference
-from carla_recap.sensors.ray_sensors import RAY_KINDS, RAYS, RayProcess
-from carla_recap.sensors.ray_sensors import Moment as RayMoment
+from carla_recap.sensors.ray_process import RAY_KINDS, RayProcess, processes_for
+from carla_recap.sensors.ray_process import Moment as RayMoment
 from carla_recap.util.child import started_ahead
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Generator, Iterable, Iterator
     from pathlib import Path
     from typing import Unpack
 
@@ -305,18 +304,18 @@ class _Sensing:
     def _open(self, stack: ExitStack) -> None:
         """Start what draws, and make the instruments; those that cannot work are left out with a warning."""
         kinds = {spec.kind for spec in self._rig}
-        casting = kinds.intersection(RAY_KINDS)
-        with started_ahead(*([DRAWING] if "camera" in kinds else []), *([RAYS] if casting else [])):
-            for name, those in (("cameras", kinds & {"camera"}), ("lidars and radars", casting)):
-                try:
-                    if "camera" in those:
-                        self._cameras = RigCameras(stack.enter_context(self._renderer()))
-                    elif those:
-                        self._rays = stack.enter_context(closing(self._ray_process()))
-                except RecapError as error:
-                    if kinds <= those:
-                        raise
-                    warnings.warn(f"{name} measure nothing: {error}", RecapWarning, stacklevel=2)
+        with started_ahead(*processes_for(self._rig)):
+            rays: RayProcess | None = None
+            if not kinds.isdisjoint(RAY_KINDS):
+                with _as_warning("lidars and radars", kinds <= RAY_KINDS):
+                    rays = stack.enter_context(closing(self._ray_process()))
+            if "camera" in kinds:
+                with _as_warning("cameras", kinds == {"camera"}):
+                    self._cameras = RigCameras(stack.enter_context(self._renderer()))
+            if rays is not None:
+                with _as_warning("lidars and radars", kinds <= RAY_KINDS):
+                    rays.wait()
+                    self._rays = rays
         for spec in self._rig:
             if spec.kind == "gnss":
                 self._instruments[spec.id] = _gnss(spec, self._town.opendrive())
@@ -395,6 +394,17 @@ class _Sensing:
         if carrier not in self._motions:
             self._motions[carrier] = CarrierMotion(self._recording, carrier, self._player.start, self._player.stop)
         return self._motions[carrier]
+
+
+@contextmanager
+def _as_warning(sensors: str, is_all: bool) -> Iterator[None]:
+    """Warn that sensors cannot work, where the `with` block raises why; raise it if they are all sensors of the rig."""
+    try:
+        yield
+    except RecapError as error:
+        if is_all:
+            raise
+        warnings.warn(f"{sensors} measure nothing: {error}", RecapWarning, stacklevel=3)
 
 
 def carrier_of(scene: Scene, actor: ActorName) -> tuple[int | None, Floats]:

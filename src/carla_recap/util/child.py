@@ -11,8 +11,9 @@ import pickle
 import subprocess
 import sys
 import tempfile
+from collections import deque
 from contextlib import contextmanager, suppress
-from itertools import pairwise
+from itertools import cycle, pairwise
 from multiprocessing.connection import Connection, Pipe
 from typing import TYPE_CHECKING, Any, Final
 
@@ -176,45 +177,60 @@ def _create_memory() -> int:
 # --- in the process ----------------------------------------------------------------------------------------------------
 
 
-def answer_requests(prepare: Callable[[Any], Callable[[Any], Any]]) -> None:
-    """Answer requests until the parent has gone; the errors of this package are answers, too.
+def answer_requests(prepare: Callable[[Any], Callable[[Any], Callable[[], Any]]]) -> None:
+    """Answer requests until the parent has gone; errors are answers, too.
 
     Args:
-        prepare: Is called with the first request, whose answer is None, and returns what answers the others.
+        prepare: Is called with the first request, whose answer is None, and returns what begins to answer another one: it
+            returns what waits for the answer, or makes it. All requests that have come are begun before that.
     """
     ignore_termination()  # the process ends when its parent does
     descriptors = [int(argument) for argument in sys.argv[1:]]
     connection, memories = Connection(descriptors[0]), [_SharedMemory(each) for each in descriptors[1:]]
-    answer: Callable[[Any], Any] | None = None
-    for number, request in enumerate(_requests(connection)):
-        try:
-            if answer is None:
-                answer, found = prepare(request), None
-            else:
-                found = answer(request)
-        except RecapError as error:
-            found = error
-        except Exception as error:
-            found = RecapError(f"the request has failed: {type(error).__name__}: {error}")
-        buffers: list[pickle.PickleBuffer] = []
-        data = pickle.dumps(found, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
-        sizes = [buffer.raw().nbytes for buffer in buffers]
-        for part, buffer in zip(memories[number % len(memories)].parts(sizes), buffers, strict=True):
-            part[:] = np.frombuffer(buffer.raw(), np.uint8)
-        try:
-            connection.send((data, sizes))
-        except OSError:  # the parent has gone
-            break
+    with suppress(EOFError, OSError):  # the parent has gone
+        begun: deque[Any] = deque()
+        begin: Any = None
+        for memory in cycle(memories):
+            while len(begun) < len(memories) and _has_request(connection, waits=not begun):
+                if begin is None:
+                    begin = _attempted(prepare, connection.recv())
+                    begun.append(begin if isinstance(begin, Exception) else _nothing)
+                else:
+                    begun.append(_attempted(begin, connection.recv()))
+            if not begun:
+                break
+            waiting = begun.popleft()
+            _send(connection, memory, waiting if isinstance(waiting, Exception) else _attempted(waiting))
+    os._exit(0)  # without taking down what the process has, such as a driver
 
 
-def _requests(connection: Connection) -> Iterator[Any]:
-    """Yield requests until the connection or the parent ends: other processes that it has forked may hold it open."""
+def _nothing() -> None: ...
+
+
+def _attempted(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what a function returns, or the error that it raises."""
+    try:
+        return function(*arguments)
+    except RecapError as error:
+        return error
+    except Exception as error:
+        return RecapError(f"the request has failed: {type(error).__name__}: {error}")
+
+
+def _send(connection: Connection, memory: _SharedMemory, answer: Any) -> None:
+    """Send an answer, with its arrays in the memory."""
+    buffers: list[pickle.PickleBuffer] = []
+    data = pickle.dumps(answer, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+    sizes = [buffer.raw().nbytes for buffer in buffers]
+    for part, buffer in zip(memory.parts(sizes), buffers, strict=True):
+        part[:] = np.frombuffer(buffer.raw(), np.uint8)
+    connection.send((data, sizes))
+
+
+def _has_request(connection: Connection, *, waits: bool) -> bool:
+    """Return whether there is a request, or the end of the connection; wait for it while the parent is there."""
     parent = os.getppid()
-    while True:
-        try:
-            while not connection.poll(_PARENT_CHECK):
-                if os.getppid() != parent:
-                    return
-            yield connection.recv()
-        except (EOFError, OSError):
-            return
+    while not connection.poll(_PARENT_CHECK if waits else 0.0):
+        if not waits or os.getppid() != parent:  # other processes that it has forked may hold the connection open
+            return False
+    return True

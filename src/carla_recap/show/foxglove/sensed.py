@@ -8,7 +8,6 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from heapq import merge
-from itertools import chain, islice
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,10 +29,12 @@ from carla_recap.roads import load_map
 from carla_recap.scene.description import Uncut
 from carla_recap.sensors.messages import SensorMessages
 from carla_recap.sensors.options import SensingOptions
+from carla_recap.sensors.ray_process import processes_for
 from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.show.foxglove.ground import MAP
 from carla_recap.show.foxglove.layouts import write_layouts
 from carla_recap.show.foxglove.topics import LOG, STATES, TOPICS, RecordingMessages, schema_of
+from carla_recap.util.child import started_ahead
 from carla_recap.util.text import number
 from carla_recap.v1.sensors_pb2 import ActorEntry, ActorTable
 
@@ -116,6 +117,7 @@ def export_sensed(
         raise RecapError(f"{str(destination)!r} does not end in {SUFFIX}, the format of recordings with sensors")
     uncut = None
     with ExitStack() as stack:
+        stack.enter_context(started_ahead(*processes_for(rig)))
         if sensing.start or sensing.duration:
             uncut = Uncut(source, clip_begin(source.reader, sensing.start))
             folder = stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))
@@ -126,7 +128,6 @@ def export_sensed(
         _check_new(source, rig)
         moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress, uncut)
         stack.enter_context(closing(moments))
-        begun = list(islice(moments, 1))  # the process that draws starts while the town is loaded
         messages = SensorMessages(rig, source.header, video=video)
         found = find_map_of(source.reader, sensing.road_map)
         player = Player(source, follow=sensing.actor)
@@ -138,7 +139,7 @@ def export_sensed(
                 if topic.name not in known:
                     writer.add_topic(topic)
             file = _SensedWriter(source, writer, messages, copy)
-            file.write(scenes, chain(begun, moments))
+            file.write(scenes, moments)
         file.warn_of_absence(sensing.actor)
         extent = source.reader.extent()
         layouts = write_layouts(destination, messages.topics)
