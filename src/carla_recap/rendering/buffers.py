@@ -114,6 +114,7 @@ class GroundBuffers:
         self.bounds = np.array([(tile.vertices.min(axis=0), tile.vertices.max(axis=0)) for tile in tiles], np.float64)
         self.bounds = self.bounds.reshape(-1, 2, 3)
         self.origin = self.bounds.mean(axis=(0, 1)).round() if tiles else np.zeros(3)
+        self._middles = self.bounds.mean(axis=1)
         counts = [len(tile.vertices) for tile in tiles]
         vertices = np.zeros(sum(counts), shaders.VERTEX)
         if tiles:
@@ -133,7 +134,7 @@ class GroundBuffers:
     def visible(self, view: CameraView) -> NDArray[np.uint32]:
         """Return the draw commands of the tiles in view, the nearest first."""
         rows = np.flatnonzero(view.sees_boxes(self.bounds))
-        offsets = self.bounds[rows].mean(axis=1) - view.camera.location
+        offsets = self._middles[rows] - view.camera.location
         found: NDArray[np.uint32] = self._commands[rows[np.argsort((offsets**2).sum(axis=1), kind="stable")]]
         return found
 
