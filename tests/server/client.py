@@ -128,20 +128,6 @@ def ahead(at: carla.Transform, distance: float, up: float = 0.0) -> carla.Transf
     return carla.Transform(there, at.rotation)
 
 
-def speed(actor: carla.Actor) -> float:
-    """Return the speed of an actor over the ground, in m/s."""
-    velocity = actor.get_velocity()
-    return math.hypot(velocity.x, velocity.y)
-
-
-def drive(world: carla.World, vehicle: carla.Vehicle, count: int, throttle: float = 0.6) -> float:
-    """Drive straight on for some ticks; return the distance in m."""
-    start = vehicle.get_location()
-    vehicle.apply_control(carla.VehicleControl(throttle=throttle))
-    ticks(world, count)
-    return start.distance_2d(vehicle.get_location())
-
-
 def destroy(client: carla.Client, actors: Iterable[carla.Actor]) -> None:
     """Destroy actors in a batch, as clients do at their end."""
     answers = client.apply_batch_sync([carla.command.DestroyActor(actor) for actor in actors], True)

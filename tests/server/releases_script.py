@@ -12,14 +12,14 @@ import queue
 import re
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import carla
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 STEPS: list[Callable[[Session], None]] = []
 PATIENCE = 60.0
@@ -67,6 +67,27 @@ class Session:
         actor = self.world.spawn_actor(blueprint, at)
         self.ticks()
         return actor
+
+    @contextmanager
+    def another_car(self, ahead: float) -> Iterator[Any]:
+        """Have a car ahead of the first spawn point, where the session's own car is put, until the end of the block."""
+        self.car.set_transform(self.world.get_map().get_spawn_points()[0])
+        self.ticks()
+        other = self.spawn(self.car_blueprint(), ahead=ahead)
+        yield other
+        self.stop()
+        assert other.destroy()
+        self.ticks()
+
+    def stop(self, ticks: int = 20) -> None:
+        """Let the car brake, by default until it stands."""
+        self.car.apply_control(carla.VehicleControl(brake=1.0))
+        self.ticks(ticks)
+
+    def speed(self) -> float:
+        """Return the speed of the car over the ground, in m/s."""
+        velocity = self.car.get_velocity()
+        return math.hypot(velocity.x, velocity.y)
 
     def listen(self, sensor: Any, count: int = 1, ticks: int = 40) -> list[Any]:
         """Return the first data of a sensor, while the world ticks, and destroy it."""
@@ -229,10 +250,8 @@ def a_control_drives_a_vehicle(session: Session) -> None:
     assert session.car.get_location().distance(start) > 2.0
     near(session.car.get_control().throttle, 0.8)
     assert session.car.get_speed_limit() > 0.0
-    session.car.apply_control(carla.VehicleControl(brake=1.0))
-    session.ticks(60)
-    velocity = session.car.get_velocity()
-    near(math.hypot(velocity.x, velocity.y), 0.0, 0.1)
+    session.stop(60)
+    near(session.speed(), 0.0, 0.1)
 
 
 @step
@@ -240,12 +259,10 @@ def an_ackermann_control_drives_a_vehicle(session: Session) -> None:
     needs(session.car, "apply_ackermann_control", "get_ackermann_controller_settings")
     session.car.apply_ackermann_control(carla.VehicleAckermannControl(speed=4.0, acceleration=3.0))
     session.ticks(40)
-    velocity = session.car.get_velocity()
-    near(math.hypot(velocity.x, velocity.y), 4.0, 0.7)
+    near(session.speed(), 4.0, 0.7)
     settings = session.car.get_ackermann_controller_settings()
     session.car.apply_ackermann_controller_settings(settings)
-    session.car.apply_control(carla.VehicleControl(brake=1.0))
-    session.ticks(30)
+    session.stop(30)
 
 
 @step
@@ -284,8 +301,7 @@ def lights_of_a_vehicle_are_kept(session: Session) -> None:
 def a_constant_velocity_holds(session: Session) -> None:
     session.car.enable_constant_velocity(carla.Vector3D(3.0, 0.0, 0.0))
     session.ticks(10)
-    velocity = session.car.get_velocity()
-    near(math.hypot(velocity.x, velocity.y), 3.0, 0.05)
+    near(session.speed(), 3.0, 0.05)
     session.car.disable_constant_velocity()
 
 
@@ -296,7 +312,6 @@ def impulses_and_forces_are_accepted(session: Session) -> None:
     session.car.add_angular_impulse(carla.Vector3D(0.0, 0.0, 1.0))
     session.car.add_torque(carla.Vector3D(0.0, 0.0, 1.0))
     session.car.set_target_velocity(carla.Vector3D())
-    session.ticks()
 
 
 @step
@@ -307,7 +322,6 @@ def doors_wheels_and_physics_are_switched(session: Session) -> None:
     session.car.set_simulate_physics(False)
     session.car.set_simulate_physics(True)
     session.car.set_enable_gravity(True)
-    session.ticks()
 
 
 @step
@@ -332,7 +346,6 @@ def names_in_the_engine_are_read_and_textures_accepted(session: Session) -> None
     assert session.car.type_id in session.car.get_actor_class_name()
     texture = carla.TextureColor(2, 2)
     session.car.apply_texture(carla.MaterialParameter.Diffuse, texture)
-    session.ticks()
 
 
 # --- town ------------------------------------------------------------------------------------------------------------------
@@ -351,7 +364,6 @@ def traffic_lights_are_set_and_frozen(session: Session) -> None:
     assert light.id in [each.id for each in light.get_group_traffic_lights()]
     light.freeze(False)
     session.world.reset_all_traffic_lights()
-    session.ticks()
 
 
 @step
@@ -376,7 +388,6 @@ def debug_shapes_are_accepted(session: Session) -> None:
     session.world.debug.draw_point(carla.Location())
     session.world.debug.draw_string(carla.Location(), "text")
     session.world.debug.draw_box(session.car.bounding_box, carla.Rotation())
-    session.ticks()
 
 
 # --- batches ---------------------------------------------------------------------------------------------------------------
@@ -432,8 +443,7 @@ def a_batch_drives_by_ackermann(session: Session) -> None:
     control = carla.VehicleAckermannControl(speed=2.0, acceleration=3.0)
     (answer,) = session.client.apply_batch_sync([carla.command.ApplyVehicleAckermannControl(session.car, control)], True)
     assert answer.error == ""
-    session.car.apply_control(carla.VehicleControl(brake=1.0))
-    session.ticks(10)
+    session.stop(10)
 
 
 @step
@@ -444,7 +454,6 @@ def a_prop_is_attached_to_a_vehicle(session: Session) -> None:
     assert prop.parent.id == session.car.id
     near(prop.get_location().z - session.car.get_location().z, 2.0, 0.2)
     assert prop.destroy()
-    session.ticks()
 
 
 @step
@@ -461,7 +470,6 @@ def a_walker_walks(session: Session) -> None:
     session.ticks(20)
     near(walker.get_location().y, 501.5, 0.4)
     assert walker.destroy()
-    session.ticks()
 
 
 # --- sensors ---------------------------------------------------------------------------------------------------------------
@@ -497,8 +505,7 @@ def events_of_a_dvs_arrive(session: Session) -> None:
     session.car.apply_control(carla.VehicleControl(throttle=0.5))
     (events,) = session.sense("sensor.camera.dvs", **SMALL)
     assert (events.width, events.height) == (32, 24)
-    session.car.apply_control(carla.VehicleControl(brake=1.0))
-    session.ticks(20)
+    session.stop()
 
 
 @step
@@ -517,13 +524,9 @@ def semantic_lidar_points_have_the_releases_labels(session: Session) -> None:
 
 @step
 def radar_detections_arrive(session: Session) -> None:
-    session.car.set_transform(session.world.get_map().get_spawn_points()[0])
-    session.ticks()
-    other = session.spawn(session.car_blueprint(), 0, ahead=12.0)
-    (found,) = session.sense("sensor.other.radar", z=0.7)
+    with session.another_car(ahead=12.0):
+        (found,) = session.sense("sensor.other.radar", z=0.7)
     assert len(found) > 0
-    assert other.destroy()
-    session.ticks()
 
 
 @step
@@ -541,31 +544,19 @@ def an_imu_measures_gravity(session: Session) -> None:
 
 @step
 def a_collision_names_the_other_actor(session: Session) -> None:
-    session.car.set_transform(session.world.get_map().get_spawn_points()[0])
-    other = session.spawn(session.car_blueprint(), 0, ahead=9.0)
-    session.car.apply_control(carla.VehicleControl(throttle=1.0))
-    sensor = session.world.spawn_actor(session.find("sensor.other.collision"), carla.Transform(), attach_to=session.car)
-    (event,) = session.listen(sensor, ticks=120)
-    assert (event.actor.id, event.other_actor.id) == (session.car.id, other.id)
-    assert event.other_actor.type_id == other.type_id
-    session.car.apply_control(carla.VehicleControl(brake=1.0))
-    assert other.destroy()
-    session.ticks()
+    with session.another_car(ahead=9.0) as other:
+        session.car.apply_control(carla.VehicleControl(throttle=1.0))
+        sensor = session.world.spawn_actor(session.find("sensor.other.collision"), carla.Transform(), attach_to=session.car)
+        (event,) = session.listen(sensor, ticks=120)
+        assert (event.actor.id, event.other_actor.id) == (session.car.id, other.id)
+        assert event.other_actor.type_id == other.type_id
 
 
 @step
 def an_obstacle_is_detected(session: Session) -> None:
-    session.car.set_transform(session.world.get_map().get_spawn_points()[0])
-    session.ticks()
-    other = session.spawn(session.car_blueprint(), 0, ahead=9.0)
-    blueprint = session.find("sensor.other.obstacle")
-    blueprint.set_attribute("distance", "20")
-    blueprint.set_attribute("only_dynamics", "true")
-    at = carla.Transform(carla.Location(x=2.6, z=0.8))
-    (found,) = session.listen(session.world.spawn_actor(blueprint, at, attach_to=session.car))
+    with session.another_car(ahead=9.0) as other:
+        (found,) = session.sense("sensor.other.obstacle", z=0.8, distance="20", only_dynamics="true")
     assert found.other_actor.id == other.id
-    assert other.destroy()
-    session.ticks()
 
 
 @step
@@ -576,8 +567,7 @@ def a_lane_invasion_is_found(session: Session) -> None:
     sensor = session.world.spawn_actor(session.find("sensor.other.lane_invasion"), carla.Transform(), attach_to=session.car)
     (event,) = session.listen(sensor, ticks=150)
     assert event.crossed_lane_markings
-    session.car.apply_control(carla.VehicleControl(brake=1.0))
-    session.ticks(20)
+    session.stop()
 
 
 @step
@@ -588,7 +578,6 @@ def v2x_messages_arrive(session: Session) -> None:
     session.sense("sensor.other.v2x")
     sender.destroy()
     assert other.destroy()
-    session.ticks()
 
 
 # --- recordings ------------------------------------------------------------------------------------------------------------
@@ -649,7 +638,6 @@ def drive_traffic(session: Session, manager: Any) -> None:
         car.set_autopilot(False, session.manager)
     answers = session.client.apply_batch_sync([carla.command.DestroyActor(car) for car in cars], True)
     assert not any(answer.error for answer in answers)
-    session.ticks()
 
 
 @step
@@ -687,7 +675,6 @@ def walkers_with_controllers_walk(session: Session) -> None:
     session.ticks()
     for actor in (*controllers, *walkers):
         actor.destroy()
-    session.ticks()
 
 
 @step
@@ -738,6 +725,7 @@ def main() -> None:
     for each in STEPS:
         try:
             each(session)
+            session.ticks()
             result = "passed"
         except Absent as absent:
             result = f"absent: {absent}"

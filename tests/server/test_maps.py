@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import asynccontextmanager, suppress
-from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,10 +27,10 @@ from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
+    from pathlib import Path
 
     from carla_recap.sim.town.loading import Town
 
-SAMPLES: Final = Path(__file__).parents[2] / "samples"
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 LAYERED: Final = "/Game/Carla/Maps/Town10HD_Opt"
 

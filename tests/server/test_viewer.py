@@ -83,20 +83,6 @@ def test_it_is_what_an_export_holds(rrd: Path) -> None:
     assert any("collides with vehicle.volkswagen.t2" in text for text in events(rrd))
 
 
-def test_the_camera_follows_the_hero(rrd: Path) -> None:
-    from tests.screenshots import ScreenshotTaker
-
-    try:
-        with ScreenshotTaker(rrd) as screenshots:
-            names = {view.name for view in screenshots.state.views}
-            picture = screenshots.take(4.0)
-    except RecapError as failure:
-        pytest.skip(str(failure))
-    assert {"Chase", "Map", "Events"} <= names
-    assert any(name.startswith("Light ahead of") for name in names)
-    assert len(picture) > 20_000
-
-
 def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delitem(ENVIRONMENT, name, raising=False)
