@@ -188,7 +188,7 @@ def test_the_dead_neither_walk_nor_drive(inside: Inside) -> None:
     assert car.control.brake == 1.0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 3e38])
+@pytest.mark.parametrize("bad", [math.nan, 3e38])
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [

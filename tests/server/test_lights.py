@@ -57,12 +57,6 @@ def test_time_stands_still_for_all(world: carla.World, lights: list[carla.Traffi
     assert not any(light.is_frozen() for light in lights)
 
 
-def test_time_stands_still_for_a_group(inside: Inside) -> None:
-    light = inside.world.traffic_lights[0]
-    inside.call("freeze_traffic_light", light.id, True)
-    assert {other.id for other in inside.world.traffic_lights if other.frozen} == {other.id for other in light.group}
-
-
 def test_a_group_begins_again(world: carla.World, lights: list[carla.TrafficLight]) -> None:
     first = {light.id: light.state for light in lights}
     light = next(light for light in lights if light.state == GREEN)

@@ -104,10 +104,8 @@ class World:
         self._ids = ActorIds()
         self._begin(1, self._load("" if town is None else town), fixed_delta_seconds or _DELTA)
         texts = {name: str(value) for name, value in (parameters or {}).items()}
-        self.recorder, self.replayer = (
-            WorldRecorder(self.episode, recordings, date, texts),
-            Replayer(self.episode, self.maps),
-        )
+        self.recorder = WorldRecorder(self.episode, recordings, date, texts)
+        self.replayer = Replayer(self.episode, self.maps)
         self.controllers: list[Controller] = [self.replayer]
         self.listeners: list[Callable[[], None]] = [self.recorder]  # what other listeners do belongs to the next tick
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap.server.snapshots import SnapshotEncoder
-from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from tests.sim.flat import at, flat_world, spawn_car
 
@@ -81,22 +81,6 @@ def test_the_transform_is_set_relative_to_the_parent() -> None:
     assert walker.transform.location.distance(parent.transform.transform(Location(-2.0, 0.0, 4.0))) < 1e-6
 
 
-def test_a_chain_of_attached_actors_is_destroyed_with_its_first() -> None:
-    world = flat_world()
-    parent = truck(world)
-    trailer = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
-    rider = world.spawn("walker.pedestrian.0001", at(0.0, z=1.5), parent=trailer)
-    camera = world.spawn("sensor.camera.rgb", at(0.5, z=0.5), parent=rider)
-    world.run(2)
-    assert isinstance(rider, Walker)
-    assert rider.transform.location.distance(trailer.transform.transform(Location(0.0, 0.0, 1.5))) < 1e-6
-    assert camera.transform.location.distance(rider.transform.transform(Location(0.5, 0.0, 0.5))) < 1e-6
-    parent.destroy()
-    assert not any(actor.is_alive for actor in (parent, trailer, rider, camera))
-    world.tick()
-    assert len(world.vehicles) == len(world.walkers) == 0
-
-
 def test_an_attached_actor_can_be_destroyed_before_its_parent() -> None:
     world = flat_world()
     parent = truck(world)
@@ -105,16 +89,6 @@ def test_an_attached_actor_can_be_destroyed_before_its_parent() -> None:
     world.run(1)
     assert parent.is_alive
     assert parent.children == []
-
-
-def test_a_parent_that_is_moved_takes_attached_actors_along() -> None:
-    world = flat_world()
-    parent = truck(world)
-    car = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
-    assert isinstance(parent, MovingActor)
-    parent.transform = at(500.0, 20.0, yaw=90.0)
-    world.tick()
-    assert car.transform.location.distance(parent.transform.transform(Location(-9.0))) < 1e-6
 
 
 def test_the_autopilot_of_a_parent_ignores_attached_actors() -> None:

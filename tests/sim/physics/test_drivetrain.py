@@ -12,7 +12,6 @@ import pytest
 from benchmarks.simulator import DRIVES, drive_again_tool
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.blueprints import standard_library
-from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.physics.drivetrain import column_of
 from carla_recap.sim.physics.physics_control import SPEEDS, WHEEL, Gear, parameters
@@ -251,21 +250,6 @@ def test_any_speed_has_a_column_in_the_tables(speed: float) -> None:
     assert 0 <= column_of(np.array([speed]))[0] < len(SPEEDS)
 
 
-def test_the_same_controls_give_the_same_drive_to_the_bit() -> None:
-    def drive() -> bytes:
-        world = flat_world()
-        cars = [spawn_car(world, at(10.0, 20.0 * number), f"vehicle.{name}") for number, name in enumerate(NAMES)]
-        for tick in range(120):
-            for car in cars:
-                car.apply_control(VehicleControl(throttle=tick % 70 / 70, steer=tick % 30 / 90, brake=float(tick > 100)))
-            world.tick()
-        fleet = world.vehicles
-        return b"".join(each.tobytes() for each in (fleet.position, fleet.rotation, fleet.engine, fleet.omega))
-
-    assert drive() == drive()
-
-
-NAMES = ("tesla.model3", "lincoln.mkz_2017", "audi.tt", "bh.crossbike", "carlamotors.firetruck")
 BAD: list[dict[str, Any]] = [
     {"torque_curve": ()},
     {"torque_curve": ((1000.0, 300.0),)},
@@ -294,6 +278,7 @@ BAD: list[dict[str, Any]] = [
     {"wheel_lat_stiff_value": 1e6, "wheel_long_stiff_value": 1e9, "wheel_tire_friction": 1e6},
     {"wheel_lat_stiff_value": 1e4, "wheel_tire_friction": 1e4},
     {"wheel_max_steer_angle": 180.0},
+    {"wheel_max_steer_angle": 0.0},
     {"wheel_max_brake_torque": -1.0, "wheel_damping_rate": -1.0},
     {"wheel_position": Vector()},
 ]
@@ -329,12 +314,6 @@ def test_speed_and_body_come_to_rest_together(speed: float) -> None:
         assert world.vehicles.bodies[0].velocity[0] == pytest.approx(car.velocity.x, abs=1e-3)
     assert car.velocity.length() == 0
     assert other.velocity.length() > 0
-
-
-@pytest.mark.parametrize("name", ["mass", "max_rpm", "moi", "final_ratio", "wheel_radius", "wheel_tire_friction"])
-def test_a_number_that_is_none_is_an_error_at_the_call(name: str) -> None:
-    with pytest.raises(SimError, match="found nan"):
-        tesla(**{name: nan})
 
 
 @pytest.fixture(scope="module")
