@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carla_recap import ActorKind, Attribute, RecapError, Spawn, attributes, create_recording, open_recording
-from tests.samples import DATE, carla_log, image, log_header, save
+from tests.samples import DATE, log_header, save
 
 HERO, CAMERA, WALKER, LIGHT, PROP = 100, 101, 200, 300, 400
 STEP = 0.5
@@ -90,20 +90,6 @@ def test_a_date_out_of_range_is_none(tmp_path):
         assert not recording.info.additional_data
 
 
-@pytest.mark.parametrize(
-    ("name", "map_name", "frames", "duration"),
-    [
-        ("carla-0.9.13-lane-center", "Town01", 432, 12.528204976581037),
-        ("carla-0.9.10-lane-center", "Town01", 461, 15.880943656899035),
-    ],
-)
-def test_info_of_recordings_of_carla(name, map_name, frames, duration):
-    with open_recording(carla_log(f"{name}.log")) as recording:
-        info = recording.info
-        assert (info.map_name, info.frames, info.duration) == (map_name, frames, duration)
-        assert info.additional_data
-
-
 # --- who was there ---------------------------------------------------------------------------------------
 
 
@@ -150,18 +136,6 @@ def test_an_id_that_is_used_again_is_the_heros_only_while_it_has_it(tmp_path, su
 
 
 # --- where they went -------------------------------------------------------------------------------------
-
-
-def test_a_trajectory_is_in_metres_and_right_handed(recording):
-    path = recording.trajectory(HERO)
-    n = np.arange(20)
-    assert len(path) == 20
-    assert path.time.tolist() == (n * STEP).tolist()
-    assert path.x == pytest.approx(n * 1.0)
-    assert path.y == pytest.approx(n * -0.1)
-    assert path.z == pytest.approx(np.full(20, 0.05))
-    for angle, value in (("roll", 3.0), ("pitch", -4.0), ("yaw", -5.0)):
-        assert getattr(path, angle).tolist() == [value] * 20
 
 
 def test_velocities_are_recorded_or_derived(recording):
@@ -234,28 +208,12 @@ def test_light_states(recording):
 # --- frames ----------------------------------------------------------------------------------------------
 
 
-def test_frames_within_a_time(recording):
-    assert [frame.elapsed for frame in recording.frames(1.0, 2.5)] == [1.0, 1.5, 2.0]
-    assert len(list(recording.frames())) == len(list(recording)) == 20
-
-
-def test_a_frame_at_a_time_has_all_packets(recording):
-    every = [image(frame) for frame in recording]
-    for time, index in ((0.0, 0), (0.49, 0), (4.99, 9), (5.0, 10), (9.5, 19), (1e6, 19)):
-        assert image(recording.frame_at(time)) == every[index]
-
-
 def test_a_time_before_the_first_frame_is_an_error(recording):
     with pytest.raises(RecapError, match=r"drive\.\w+: no frame at -1 s; it has 20, up to 9\.5 s"):
         recording.frame_at(-1)
 
 
 # --- as tables -------------------------------------------------------------------------------------------
-
-
-def test_unknown_axes_are_an_error(recording):
-    with pytest.raises(RecapError, match="axes must be one of right-handed, carla"):
-        recording.trajectory(7, axes="ros")  # type: ignore[arg-type]
 
 
 def test_actors_are_a_table(recording):

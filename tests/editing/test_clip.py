@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import Scene
 
@@ -263,19 +262,6 @@ def test_a_clip_is_a_file_of_its_own(small: Path, tmp_path: Path, name: str, mes
     with pytest.raises(RecapError, match=message):
         clip(small, tmp_path / name, start=0.0, force=True)
     assert names_in(tmp_path) == ["small.log"]
-
-
-def test_progress_sees_the_frames_of_the_clip(small: Path, tmp_path: Path) -> None:
-    ids: list[int] = []
-
-    def watch(batches: Any, reader: Reader) -> Any:
-        assert reader.path == small
-        for batch in batches:
-            ids.extend(batch.id.tolist())
-            yield batch
-
-    clip(small, tmp_path / "clip.log", start=1.0, progress=watch)
-    assert ids == [1, 2, 3]
 
 
 # --- initial state -------------------------------------------------------------------------------------

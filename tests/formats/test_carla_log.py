@@ -197,36 +197,6 @@ def test_physics_of_ue5_are_kept_as_they_are(tmp_path):
 # --- cut and broken --------------------------------------------------------------------------------------
 
 
-def test_every_cut_of_a_log_is_read_up_to_the_last_whole_packet(tmp_path):
-    data = small_log()
-    whole = images(save(tmp_path / "whole.log", data))
-    ends = packet_ends(data)
-    path = tmp_path / "cut.log"
-    for length in range(len(log_header()), len(data), 3):
-        save(path, data[:length])
-        kept = max(end for end in ends if end <= length)
-        if kept == length:
-            found = images(path)
-        else:
-            dropped = length - kept
-            message = f"byte {kept}: the recording was cut short; the last {dropped} bytes are no complete packet"
-            with pytest.warns(RecapWarning, match=message):
-                found = images(path)
-        assert found[:-1] == whole[: max(len(found) - 1, 0)]
-        if found and length > len(log_header()) + 29:
-            count = len(found[-1][-1])
-            assert found[-1][-1] == whole[len(found) - 1][-1][:count]
-
-
-def packet_ends(data):
-    at = len(log_header())
-    ends = [at]
-    while at < len(data):
-        at += 5 + struct.unpack_from("<BI", data, at)[1]
-        ends.append(at)
-    return ends
-
-
 @pytest.mark.parametrize("zeros", [1, 4, 5, 100, 3 << 20])
 def test_zeros_at_the_end_are_left_out(tmp_path, zeros):
     path = save(tmp_path / "zeros.log", small_log() + bytes(zeros))
@@ -329,18 +299,6 @@ def test_any_bytes_behind_a_header_are_an_answer_or_an_error_of_ours(tmp_path, d
 # --- frames ----------------------------------------------------------------------------------------------
 
 
-def test_frames_are_read_as_they_are(small):
-    with reading(small) as reader:
-        frames = list(reader.frames())
-        assert [(f.index, f.id, f.elapsed, f.duration) for f in frames] == [
-            (0, 1, 0.0, 1.0),
-            (1, 2, 1.0, 1.0),
-            (2, 3, 2.0, 1.0),
-            (3, 4, 3.0, -1.0),
-        ]
-        assert (reader.extent().frames, reader.extent().last_id, reader.extent().duration) == (4, 4, 3.0)
-
-
 def test_packets_before_the_first_frame_are_a_frame_of_their_own(tmp_path):
     data = log_header() + packet(150, b"early") + small_log()[len(log_header()) :]
     path = save(tmp_path / "early.log", data)
@@ -386,24 +344,6 @@ def test_before_the_first_frame_there_is_none(small, small_mcap, elapsed):
             assert reader.frame_at(elapsed) is None
 
 
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_frames_of_some_types_are_the_same_in_both_formats(small, small_mcap, suffix):
-    with reading(small.with_suffix(suffix)) as reader:
-        for types in (("frame",), ("frame_end",), ()):
-            assert [f.id for f in reader.frames(types)] == [1, 2, 3, 4]
-        wanted = ("collisions", "spawned")
-        found = [[p.type.name for p in frame.packets] for frame in reader.frames(wanted)]
-        assert found == [["spawned", "collisions"], [], ["collisions"], []]
-        assert [frame.id for frame in reader.frames(wanted, sparse=True)] == [1, 3]
-        assert [f.id for f in reader.frames(wanted, sparse=True, start=1.0)] == [3]
-        assert [f.id for f in reader.frames(wanted, sparse=True, stop=2.0)] == [1]
-
-
-def test_reading_again_gives_the_same(small):
-    with reading(small) as reader:
-        assert [image(f) for f in reader.frames()] == [image(f) for f in reader.frames()]
-
-
 def test_events_that_are_kept_do_not_keep_what_is_between_them(tmp_path):
     rest = [packet(200, bytes(1 << 20)), packet(5, listed(collision(1, 7, 8))), END]
     frames = b"".join(part for number in range(64) for part in (start(number, float(number)), *rest))
@@ -414,20 +354,6 @@ def test_events_that_are_kept_do_not_keep_what_is_between_them(tmp_path):
         assert len(events) == 64
     assert tracemalloc.get_traced_memory()[0] < 16 << 20
     tracemalloc.stop()
-
-
-def test_records_outlive_their_reader(small):
-    with reading(small) as reader:
-        transforms = next(reader.frames())["transforms"]
-    assert transforms["id"].tolist() == [7, 8]
-
-
-@pytest.mark.parametrize("window", [64, 1000, 1 << 14, 1 << 30])
-def test_windows_of_any_size_give_the_same_frames(tmp_path, monkeypatch, window):
-    path = write(tmp_path / "long.log", Header("Town01", DATE), drive(60, 20, 20))
-    expected = images(path)
-    monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
-    assert images(path) == expected
 
 
 @pytest.mark.parametrize("lenient", [False, True])
@@ -459,20 +385,6 @@ def busy_log(frames: int, alike: int) -> bytes:
         actors = (transform(id, n) for id in range(n // alike % 5 + 1))
         data += start(n + 1, n / 10) + packet(4, listed()) + packet(5, struck) + packet(6, listed(*actors)) + END
     return data
-
-
-@pytest.mark.parametrize("window", [64, 1000, 1 << 14])
-@pytest.mark.parametrize("alike", [1, 2, 30, 1000])
-def test_events_alone_are_those_of_all_frames(tmp_path, monkeypatch, window, alike):
-    monkeypatch.setattr("carla_recap.formats.log_scan._WINDOW", window)
-    path = save(tmp_path / "busy.log", busy_log(300, alike))
-    with reading(path) as reader:
-        everything = [(f.index, f.id, f.elapsed, f["collisions"].tolist()) for f in reader.frames() if len(f["collisions"])]
-        events = reader.frames(("collisions", "parented"), sparse=True)
-        assert [(f.index, f.id, f.elapsed, f["collisions"].tolist()) for f in events] == everything
-        assert len(everything) == 43
-    with reading(path) as reader:
-        assert (reader.extent().frames, reader.extent().last_id, reader.extent().duration) == (300, 300, 29.9)
 
 
 def test_a_frame_of_many_packets_is_read_up_to_a_limit(tmp_path):
@@ -539,16 +451,6 @@ def test_a_log_that_changes_before_a_frame_is_read_again_is_an_error(tmp_path, s
         for ask in (lambda: reader.frame_at(30.0), lambda: list(reader.frames_by_index([40], ["transforms"]))):
             with pytest.raises(FormatError, match=rf"odd\.log: byte \d+: the file has {change} while it was read"):
                 ask()
-
-
-def test_a_closed_log_says_so(small):
-    reader = open_reader(small)
-    frames = reader.frames()
-    next(frames)
-    reader.close()
-    for ask in (lambda: list(frames), lambda: reader.frame_at(0.0), lambda: list(reader.frames())):
-        with pytest.raises(RecapError, match=r"small\.log: the recording is closed"):
-            ask()
 
 
 # --- writing ---------------------------------------------------------------------------------------------

@@ -42,27 +42,6 @@ def test_rows(make: Make) -> None:
     assert blocked(reader, 1, 9) == []
 
 
-@pytest.mark.parametrize("compat", [False, True])
-def test_the_distance_is_from_where_it_last_moved_to(make: Make, compat: bool) -> None:
-    creeping = [at((1, 100 + 4 * step)) for step in range(10)]
-    (row, *rest) = blocked(make(*creeping, durations=[1.0] * 10), 1, 10, compat=compat)
-    assert (row.start, row.duration) == (1, 2)
-    assert [row.duration for row in rest] == [2, 2]
-
-
-@pytest.mark.parametrize(("compat", "expected"), [(False, (0.5, 0.5, 5.0)), (True, (0.0, 0.0, 0.0))])
-def test_the_last_frame(make: Make, compat: bool, expected: tuple[float, float, float]) -> None:
-    reader = make(at((1, 5)), at((1, 5)), at((1, 5)))
-    (row,) = blocked(reader, 0, 10, compat=compat)
-    assert (row.start, row.duration, row.x) == expected
-
-
-def test_no_frame_subtracts(make: Make) -> None:
-    reader = make(at((1, 5)), at((1, 5)), at((1, 5)), durations=[2.0, -5.0, 1.0])
-    assert [row.duration for row in blocked(reader, 0)] == [1.0]
-    assert [row.duration for row in blocked(reader, -9, compat=True)] == [-2.0]
-
-
 def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
     spawned = {"spawned": [spawn(1), spawn(2, "walker.b"), spawn(3, "static.c")]}
     standing = at((1, 1), (2, 2), (3, 3))
@@ -82,19 +61,6 @@ def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
     ]
 
 
-def test_a_destroyed_actor_that_moved_is_not_told_of(make: Make) -> None:
-    reader = make({"spawned": [spawn(1)], **at((1, 100))}, at((1, 200)), {"destroyed": [(1,)]})
-    assert blocked(reader, 0.1) == []
-
-
-def test_a_spawn_begins_anew(make: Make) -> None:
-    reader = make(at((1, 1)), at((1, 1)), [{"spawned": [spawn(1)]}, at((1, 1))], at((1, 1)), {})
-    rows = [(row.start, row.duration, row.type_id) for row in blocked(reader, 0.5)]
-    assert rows == [(0.5, 0.5, ""), (1.5, 0.5, "vehicle.a")]
-    (row,) = blocked(reader, 1.0, compat=True)
-    assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
-
-
 @pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
 def test_an_interval_of_exactly_the_minimum_time(make: Make, drive: int, stand: int) -> None:
     """It is summed up frame by frame; the difference of two times would be rounded otherwise."""
@@ -104,14 +70,6 @@ def test_an_interval_of_exactly_the_minimum_time(make: Make, drive: int, stand: 
     reader = make(*frames, durations=[0.1] * len(frames))
     assert [row.duration for row in blocked(reader, length)] == [length]
     assert blocked(reader, math.nextafter(length, math.inf)) == []
-
-
-def test_a_duration_that_comes_back_to_0(make: Make) -> None:
-    """CARLA then begins a new interval."""
-    both = at((1, 1), (2, 1))
-    reader = make(at((1, 1)), {}, both, both, {}, durations=[-1.0, 3.0, 1.0, 1.0, 1.0])
-    rows = blocked(reader, 0.5, compat=True)
-    assert [(row.id, row.start, row.duration) for row in rows] == [(2, 2.0, 2.0), (1, 3.0, 1.0)]
 
 
 def test_ties(make: Make) -> None:
@@ -256,20 +214,6 @@ def test_limits_below_0_are_for_carlas_answer_alone(make: Make, limit: float) ->
     with pytest.raises(RecapError, match="min_time: expected 0 s or more, found"):
         IncidentOptions(min_time=limit)
     blocked(reader, limit, compat=True)
-
-
-def test_the_origin_of_the_world_is_no_position_of_an_actor(make: Make) -> None:
-    far = {"spawned": [spawn(1)], **at((1, 4000))}
-    reader = make(far, at((1, 4000)), at((1, 4000)), {})
-    assert blocked(reader, 0.1, 5000) == [BlockedRow(0.5, 1.0, 1, "vehicle.a", 4000.0, 0.0, 0.0)]
-    (row,) = blocked(reader, 0.1, 5000, compat=True)
-    assert (row.start, row.duration, row.x) == (0.0, 1.5, 0.0)
-
-
-def test_an_actor_that_moves_has_no_stops_of_0_s(make: Make) -> None:
-    reader = make(at((1, 100)), at((1, 200)), at((1, 300)), {})
-    assert blocked(reader, 0) == []
-    assert [row.duration for row in blocked(reader, 0, compat=True)] == [0.0] * 4
 
 
 def test_the_digest_has_stops_of_actors_whose_blueprints_are_long(make: Make) -> None:

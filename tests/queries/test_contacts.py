@@ -106,14 +106,6 @@ def test_speeds_of_one_side_are_enough_for_the_impact(make: Make) -> None:
     assert math.isnan(relative)
 
 
-def test_speeds_can_be_left_out(make: Make) -> None:
-    reader = make({"velocities": moving((1, 0, 0, 2), (2, 0, 0, 2))}, HIT)
-    for options in ({"speeds": False}, {"compat": True}):
-        (row,) = collisions(reader, **options)
-        assert math.isnan(row.impact_speed)
-        assert math.isnan(row.relative_speed)
-
-
 # --- the same answers with the digest and without ------------------------------------------------------------------------
 
 OPTIONS: list[dict[str, Any]] = [

@@ -277,25 +277,6 @@ def test_only_vehicles_brake(tmp_path: Path) -> None:
     assert braked(drive(tmp_path / "drive.log", ways(slowing(9.0)), id=2)) == []
 
 
-def test_an_actor_that_stays_away_does_not_brake(tmp_path: Path) -> None:
-    x = ways([20.0] * 60)
-    frames = {f"at_{number}": {"transforms": [pose(4, 7.0)]} for number in range(20, 45)}
-    assert braked(drive(tmp_path / "away.log", x, [20.0] * 20 + [3.0] * 40, **frames)) == []
-
-
-def test_a_slow_recording(tmp_path: Path) -> None:
-    speeds = [20, 20, 16, 12, 8, 4, 0, 0]
-    (row,) = braked(drive(tmp_path / "slow.log", ways(speeds, 2.0), speeds, rate=2.0))
-    assert (row.start, row.stop) == (1.0, 2.5)
-
-
-def test_an_actor_that_comes_twice_in_a_frame(tmp_path: Path) -> None:
-    """The last record counts."""
-    x = ways(slowing(8.0))
-    twice = {f"at_{number}": {"transforms": [pose(3, 0.0), pose(3, place)]} for number, place in enumerate(x) if number}
-    assert braked(drive(tmp_path / "twice.log", x, **twice)) == braked(drive(tmp_path / "once.log", x))
-
-
 @pytest.mark.parametrize("deceleration", [0.0, -1.0, 34.4, math.inf, math.nan])
 def test_what_is_no_deceleration(make: Make, deceleration: float) -> None:
     with pytest.raises(RecapError, match="above 0 and below"):

@@ -259,11 +259,6 @@ def test_no_frames(record: Record) -> None:
         Player(record())
 
 
-def test_one_frame(record: Record) -> None:
-    (scene,) = Player(record({"transforms": [pose(1, 7)]})).scenes()
-    assert (scene.time, x_of(scene)) == (0, 7)
-
-
 # --- scenes, and seeking ---------------------------------------------------------------------------------------
 
 
@@ -271,10 +266,6 @@ def test_a_scene_for_each_frame(drive: Recording) -> None:
     scenes = list(Player(drive).scenes())
     assert [scene.frame_id for scene in scenes] == list(range(1, FRAMES + 1))
     assert [x_of(scene) for scene in scenes] == [100 * n for n in range(FRAMES)]
-
-
-def test_frames_from_the_middle(drive: Recording) -> None:
-    assert [scene.time for scene in Player(drive, start=1.5, duration=2).scenes()] == [1.5, 2, 3, 3.5]
 
 
 @pytest.mark.parametrize(("seconds", "before"), [(2.5, [4.0, 5, 6, 6.5]), (20.0, [0.0, 1, 2, 3, 4, 5, 6, 6.5]), (0.0, [])])

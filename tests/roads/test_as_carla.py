@@ -75,16 +75,6 @@ def test_all_lanes_of_sections_with_one_for_cars_are_there(both: tuple[TownRoads
     )
 
 
-def test_the_topology_is_equal(both: tuple[TownRoads, Any]) -> None:
-    roads, town = both
-    starts = {(one.road_id, one.section_id, one.lane_id) for one, _ in town.get_topology()}
-    assert starts == {(lane.road, lane.section, lane.id) for lane in roads.lanes if lane.is_driving}
-    pairs = {tuple((point.road_id, point.lane_id) for point in pair) for pair in town.get_topology()}
-    for lane in roads.lanes:
-        if lane.is_driving and len(lane.successors) > 1:
-            assert {((lane.road, lane.id), (road, id)) for road, _, id in lane.successors} <= pairs
-
-
 def test_crossings_are_equal(both: tuple[TownRoads, Any]) -> None:
     roads, town = both
     corners = [place(corner) for corner in town.get_crosswalks()]

@@ -22,7 +22,6 @@ from .straight_road import STRAIGHT_ROAD
 from .towns import lane, mirrored, opendrive, road, section
 
 _MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
-_KMH = 3.6
 
 
 @pytest.fixture(scope="module")
@@ -87,11 +86,6 @@ def test_a_lane_may_be_as_wide_as_a_square() -> None:
 def test_junctions_are_known(roads: RoadNetwork) -> None:
     found = roads.lanes_at(np.array([(90.0, -1.75), (110.0, -1.75), (130.0, -1.75)]))
     assert found.in_junction.tolist() == [False, True, False]
-
-
-def test_limits_are_of_the_sign_before_else_of_the_lane_else_of_the_road(roads: RoadNetwork) -> None:
-    found = roads.lanes_at(np.array([(20.0, -1.75), (80.0, -1.75), (80.0, 1.75), (180.0, 1.75), (110.0, 1.75)]))
-    assert found.limit * _KMH == pytest.approx([50, 72, 50, 30, np.nan], nan_ok=True)
 
 
 def test_lights_and_stop_signs_close_their_lanes_at_the_border_of_the_junction(roads: RoadNetwork) -> None:

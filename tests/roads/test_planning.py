@@ -114,39 +114,6 @@ def test_a_lane_for_driving_can_lead_to_one_for_parking() -> None:
     assert at.position[-1] == pytest.approx((149.0, -1.75, 0.0), abs=1.01)
 
 
-def test_a_route_changes_to_the_lane_beside() -> None:
-    both = following(-1, (0, "both")) + following(-2)
-    two = lanes(linked(1, 0, None, 2, both), linked(2, 100, 1, None, both))
-    at = RoutePlanner(two).route(np.array([(10.0, -1.75, 0.0), (150.0, -5.25, 0.0)]))
-    assert at.position[0, 1] == pytest.approx(-1.75)
-    assert at.position[-1, 1] == pytest.approx(-5.25)
-    assert set(np.round(at.position[:, 1], 2).tolist()) == {-1.75, -5.25}
-
-
-@pytest.mark.parametrize(
-    ("marks", "changes"),
-    [
-        ([(0.0, "both"), (20.0, "none")], True),  # not in the middle of the lane
-        ([(0.0, "none"), (80.0, "both")], True),
-        ([(0.0, "none"), (45.0, "both"), (55.0, "none")], True),
-        ([(0.0, "increase")], True),
-        ([(0.0, "decrease")], False),
-        ([(0.0, "none")], False),
-        ([], False),  # CARLA's planner changes across markings alone
-    ],
-)
-def test_a_change_is_allowed_where_the_marking_allows_it(marks: list[tuple[float, str]], changes: bool) -> None:
-    one = following(-1, *marks) + following(-2)
-    two = following(-1, (0, "none")) + following(-2)
-    planner = RoutePlanner(lanes(linked(1, 0, None, 2, one), linked(2, 100, 1, None, two)))
-    places = np.array([(10.0, -1.75, 0.0), (150.0, -5.25, 0.0)])
-    if changes:
-        assert planner.route(places).position[-1, 1] == pytest.approx(-5.25)
-    else:
-        with pytest.raises(ValueError, match="no lanes lead from position 1 to position 2"):
-            planner.route(places)
-
-
 def test_where_lanes_part_the_route_takes_the_shortest() -> None:
     """Roads 3 and 2 begin as one, and only road 2 leads on to the last position."""
     lane_of = following(-1, (0, "none"))

@@ -43,11 +43,6 @@ STOP_AND_GO = drive((10, 4), (0, 3), (10, 5))
     [
         ('{ max = "11 m/s" }', "pass", "the greatest speed of the hero is 10.00 m/s"),
         (
-            '{ max = "9 m/s", during = ["4.2 s", "6.8 s"] }',
-            "pass",
-            "the greatest speed of the hero from 4.2 s to 6.8 s is 0.00",
-        ),
-        (
             '{ max = "9 m/s", during = ["5 s", "8 s"] }',
             "fail",
             "the speed of the hero from 5 s to 8 s exceeds 9 m/s: hero, 10.00",
@@ -63,29 +58,19 @@ STOP_AND_GO = drive((10, 4), (0, 3), (10, 5))
             "pass",
             "after reaching the place within 5 m of (50, 0) is",
         ),
-        ('{ min = "1 m/s", where = { x = 40, y = 0, within = 5 } }', "fail", "falls below 1 m/s: hero, 0.00 m/s at 4.1"),
-        ('{ min = "1 m/s", where = { x = 20, y = 0, within = 5 } }', "pass", ""),
         (
             '{ max = "1 m/s", where = { x = 0, y = 99, within = 5 } }',
             "pass",
             "no speed of the hero in the place within 5 m of",
         ),
         ('{ min = "1 m/s", tolerate = "2 s" }', "fail", "falls below 1 m/s: hero, 0.00 m/s, for 2.80 s at 4.1"),
-        ('{ min = "1 m/s", tolerate = "3 s" }', "pass", ""),
         ('{ max = "0.1 m/s", for = "2.5 s" }', "pass", "the speed of the hero is at most 0.1 m/s for 2.80 s"),
         (
             '{ max = "0.1 m/s", for = "4 s" }',
             "fail",
             "the speed of the hero is not at most 0.1 m/s for 4 s: hero for 2.80 s at 4.1",
         ),
-        ('{ max = "0.1 m/s", for = "2 s", where = { x = 20, y = 0, within = 5 } }', "fail", "for 2 s: hero never"),
-        (
-            '{ max = "0.1 m/s", for = "2 s", where = { x = 0, y = 99, within = 5 } }',
-            "pass",
-            "no speed of the hero in the place",
-        ),
         ('{ min = "9 m/s", for = "8 s", tolerate = "4 s" }', "pass", "is at least 9 m/s for 12.00 s"),
-        ('{ min = "5 m/s", max = "15 m/s", during = [0, 3] }', "pass", ""),
         (
             '{ min = "5 m/s", max = "15 m/s" }',
             "fail",

@@ -62,19 +62,15 @@ def test_lanes_in_words():
     [
         ("{}", "reaches: expected place, or x, y and within, or polygon, or lanes, road and junction, found no place"),
         ("{ x = 1, y = 2 }", "reaches.within: is missing; x, y and within make a place"),
-        ("{ x = 1, within = 2 }", "reaches.y: is missing; x, y and within make a place"),
         ("{ x = 1, y = 2, within = 0 }", "reaches.within: expected a distance above 0, found 0"),
         ("{ x = 1, y = 2, within = '3 s' }", "reaches.within: expected a number in m, or a text"),
         ("{ x = nan, y = 2, within = 1 }", "reaches.x: expected a number in m, or a text"),
-        ("{ x = inf, y = 2, within = 1 }", "reaches.x: expected a number in m, or a text"),
         ("{ x = 1, y = 2, within = 1, before = '-3 s' }", "reaches.before: expected a time of 0 or more, found '-3 s'"),
         ("{ x = 1, y = 2, within = 1, road = 3 }", "reaches: expected place, or x, y and within, or polygon, "),
         ("{ place = 'nowhere' }", "reaches.place: expected the name of a table [places.NAME], found 'nowhere'"),
         ("{ wihtin = 3 }", "unknown key 'wihtin'; did you mean within? The keys are of, place, x, y, z, within, polygon, "),
         ("{ polygon = [[0, 0], [1, 1]] }", "reaches.polygon: expected a list of 3 to 1000 points [x, y] in m"),
-        ("{ polygon = [[0, 0], [1, 0], [1, nan]] }", "expected a list of 3 to 1000 points [x, y] in m"),
         ("{ polygon = [[0, 0], [1, 0], [1, 1e300]] }", "expected a list of 3 to 1000 points [x, y] in m"),
-        ("{ polygon = [[0, 0], [1, 0], [1, true]] }", "expected a list of 3 to 1000 points [x, y] in m"),
         ("{ polygon = [[0, 0], [1, 0], [2, 0]] }", "reaches.polygon: expected a polygon around an area, found none"),
         (
             "{ polygon = [[0, 0], [9, 0], [0, 9], [9, 9]] }",
@@ -82,7 +78,6 @@ def test_lanes_in_words():
         ),
         ("{ lanes = 'drivng' }", "reaches.lanes: expected one or a list of driving, entry, "),
         ("{ road = 1.5 }", "reaches.road: expected an id in the map, or a list of ids, found 1.5"),
-        ("{ road = [] }", "reaches.road: expected an id in the map, or a list of ids, found []"),
     ],
 )
 def test_a_wrong_place_is_a_fault_in_one_line(place, fault):

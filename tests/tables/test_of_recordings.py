@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carla_recap import FormatError, RecapError, RecapWarning, RecordError, create_recording, open_recording
+from carla_recap import FormatError, RecapError, RecordError, create_recording, open_recording
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import Many
@@ -23,7 +23,6 @@ from tests import strategies
 from tests.samples import (
     CROSSING,
     END,
-    carla_log,
     image,
     listed,
     log_header,
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
 
     from carla_recap import Recording
 
-every_type = pytest.mark.parametrize("name", [type.name for type in UE4 if type.id > 1])
 both_formats = pytest.mark.parametrize("suffix", [".log", ".mcap"])
 
 
@@ -112,19 +110,6 @@ def test_a_table_contains_the_records_of_the_frames(recorded: tuple[Header, list
             for type in recording.header.table[2:]:
                 assert comparable(rows_of_table(recording, type.name)) == comparable(rows_of_frames(recording, type.name))
             assert [image(frame) for batch in recording.batches() for frame in batch] == [image(f) for f in recording]
-
-
-@every_type
-@both_formats
-def test_the_table_of_each_record_type(tmp_path: Path, name: str, suffix: str) -> None:
-    path = written(tmp_path, suffix)
-    with open_recording(path) as recording:
-        rows = rows_of_table(recording, name)
-        assert rows == rows_of_frames(recording, name)
-        assert rows
-        table = recording.table(name)
-        assert [table[column] is not None for column in ("frame", "time")] == [True, True]
-        assert set(table.units()) <= set(table.columns())
 
 
 def written(folder: Path, suffix: str) -> Path:
@@ -253,14 +238,6 @@ def test_a_packet_that_is_too_short_is_an_error_with_its_offset(tmp_path: Path, 
                 ask()
 
 
-def test_surplus_bytes_are_a_warning(tmp_path: Path) -> None:
-    frames = (start(n, n - 1.0) + packet(6, listed(transform(7, 100)) + b"xx") + END for n in range(1, 6))
-    with open_recording(save(tmp_path / "surplus.log", log_header() + b"".join(frames))) as recording:
-        with pytest.warns(RecapWarning, match="transforms has 2 bytes more than its records need"):
-            table = recording.table("transforms")
-        assert table["x"].tolist() == [100.0] * 5
-
-
 # --- batches -----------------------------------------------------------------------------------------------------
 
 
@@ -311,14 +288,6 @@ def test_a_batch_of_one_is_read_only() -> None:
 def test_records_of_variable_size_are_an_error(crossing: Recording, name: str) -> None:
     with pytest.raises(RecordError, match=name):
         next(crossing.batches()).records(name)
-
-
-def test_batches_of_a_closed_recording(tmp_path: Path) -> None:
-    with open_recording(written(tmp_path, ".log")) as recording:
-        pass
-    for ask in (recording.batches, recording.trajectories, lambda: recording.table("transforms")):
-        with pytest.raises(RecapError, match="closed"):
-            ask()
 
 
 # --- trajectories ------------------------------------------------------------------------------------------------
@@ -391,13 +360,6 @@ def test_steps_of_a_trajectory_and_a_part_of_it() -> None:
     assert part.steps == pytest.approx([2, np.nan], nan_ok=True)
     assert path.during(0.3, 0.3).steps.tolist() == []
     assert len(path.during(9, 10)) == 0
-
-
-def test_trajectories_of_a_recording_of_carla() -> None:
-    with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording:
-        found = recording.trajectories()
-        for id in list(found)[::40]:
-            check(recording, id, found[id])
 
 
 def test_trajectories_of_a_kind(crossing: Recording) -> None:

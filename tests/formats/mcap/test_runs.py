@@ -66,17 +66,6 @@ def test_like_frames_are_one_run() -> None:
     assert [(run.sequence, run.number) for run in message_runs(chunk(rows), FRAME)] == [(0, 8)]
 
 
-def test_another_message_of_the_last_frame_ends_a_run_before_it() -> None:
-    rows = [(DATA, sequence, b"12345678") for sequence in range(6)]
-    assert frames(chunk([*rows, (3, 5, b"more")])) == expected([*rows, (3, 5, b"more")])
-    assert frames(chunk([*rows, (3, 6, b"more")])) == expected([*rows, (3, 6, b"more")])
-
-
-def test_a_message_may_have_no_data() -> None:
-    rows = [(DATA, sequence, b"") for sequence in range(4)]
-    assert frames(chunk(rows)) == expected(rows)
-
-
 def test_other_records_are_passed_over() -> None:
     schema = struct.pack("<BQ", 3, 5) + b"12345"
     rows = [(DATA, sequence, b"12345678") for sequence in range(4)]

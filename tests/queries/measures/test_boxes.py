@@ -21,15 +21,6 @@ def car(x: float, y: float, heading: float = 0.0, speed: float = 0.0, length: fl
 # --- analytic cases -------------------------------------------------------------------------------------
 
 
-def test_of_a_car_behind_a_slower_one() -> None:
-    """Cars of 4.5 m, centres 24.5 m apart, at 15 and 10 m/s."""
-    behind, ahead = car(0, 0, 0, 15, 4.5), car(24.5, 0, 0, 10, 4.5)
-    assert gap(behind, ahead) == pytest.approx(20)
-    assert time_to_collision(behind, ahead) == pytest.approx(4)
-    assert time_headway(20, 15) == pytest.approx(4 / 3)
-    assert required_deceleration(20, 15, 10) == pytest.approx(0.625)
-
-
 @pytest.mark.parametrize(
     ("one", "other", "seconds"),
     [

@@ -16,7 +16,7 @@ from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, motion_table, pairs, time_series
 from tests.queries.measures.conftest import Mover, straight
-from tests.samples import CRASH, SAMPLES
+from tests.samples import CRASH
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
@@ -73,42 +73,12 @@ def test_times_to_collision_over_time_are_those_of_all_frames(drive: Drive, monk
     assert len(late) == 60
 
 
-def test_the_leader_is_followed_along_any_heading(drive: Drive) -> None:
-    cars = [straight(1, 0, 0, 15, yaw=130, role_name="hero"), straight(2, -12.8558, 15.3209, 10, yaw=130)]
-    found = values(measures(drive(cars, seconds=0.0)))
-    assert found["distance_headway"] == pytest.approx(16, abs=1e-3)
-    assert found["required_deceleration"] == pytest.approx(25 / 32, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        straight(2, 20, 3.5, 10),  # beside
-        straight(2, -20, 0, 10),  # behind
-        straight(2, 20, 0, 10, yaw=180),  # oncoming
-        straight(2, 20, 0, 10, yaw=90),  # crossing
-        straight(2, 20, 0, 1.5, kind=2, type_id="walker.pedestrian.0001", size=(0.5, 0.5)),
-        straight(2, 20, 0, 10, z=6.0),  # on a bridge
-        straight(2, 150, 0, 10),  # far away
-    ],
-)
-def test_no_leader(drive: Drive, other: Mover) -> None:
-    found = values(measures(drive([straight(1, 0, 0, 10, role_name="hero"), other], seconds=0.0)))
-    assert "time_headway" not in found
-    assert "required_deceleration" not in found
-
-
 def test_a_measure_names_the_other_and_the_time(drive: Drive) -> None:
     cars = [straight(1, 0, 0, 10, role_name="hero"), straight(7, 40, 0, 0, type_id="vehicle.b"), straight(8, 0, 30, 0)]
     row = of(measures(drive(cars, seconds=2.0)))["time_to_collision"]
     assert (row.actor, row.type_id, row.hero) == (1, "vehicle.audi.tt", True)
     assert (row.other, row.other_type_id, row.unit) == (7, "vehicle.b", "s")
     assert (row.value, row.time) == (pytest.approx(1.6, abs=1e-3), pytest.approx(2.0))
-
-
-def test_boxes_with_an_offset_are_where_they_are(drive: Drive) -> None:
-    cars = [straight(1, 0, 0, 0, yaw=90, offset=(1.0, 0.5), role_name="hero"), straight(2, -0.5, 8, 0, yaw=90)]
-    assert values(measures(drive(cars, seconds=0.0)))["gap"] == pytest.approx(3.0, abs=1e-3)
 
 
 def test_motion_of_one_actor(drive: Drive) -> None:
@@ -125,36 +95,12 @@ def test_deceleration(drive: Drive) -> None:
     assert "acceleration" not in found
 
 
-@pytest.mark.parametrize("has_velocity", [True, False])
-def test_velocities_follow_from_positions_where_they_are_not_recorded(drive: Drive, has_velocity: bool) -> None:
-    cars = [
-        straight(1, 0, 0, 15, role_name="hero", has_velocity=has_velocity),
-        straight(2, 30, 0, 10, has_velocity=has_velocity),
-    ]
-    found = values(measures(drive(cars, seconds=1.0)))
-    assert found["time_to_collision"] == pytest.approx(4.2, abs=1e-2)
-    assert found["speed"] == pytest.approx(15, abs=1e-2)
-
-
 def test_sizes_are_those_of_the_blueprint_where_none_are_recorded(drive: Drive) -> None:
     cars = [
         straight(1, 0, 0, 0, role_name="hero", type_id="vehicle.audi.a2", size=None),  # 3.71 m long
         straight(2, 10, 0, 0, type_id="vehicle.no.such", size=None),  # 4.5 m
     ]
     assert values(measures(drive(cars, seconds=0.0)))["gap"] == pytest.approx(10 - 3.71 / 2 - 2.25, abs=1e-3)
-
-
-def test_what_is_attached_does_not_count(drive: Drive) -> None:
-    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, -5, 0, 10, parent=1)]
-    assert "gap" not in values(measures(drive(cars, seconds=0.0)))
-
-
-def test_a_teleport_is_no_approach(drive: Drive) -> None:
-    hero = Mover(1, lambda t: 0.0 if t < 1 else 60.0, role_name="hero")
-    found = values(measures(drive([hero, straight(2, 80, 0, 0)], seconds=3.0)))
-    assert found["speed"] == 0
-    assert "time_to_collision" not in found
-    assert found["gap"] == pytest.approx(16, abs=1e-3)
 
 
 def test_the_impact_itself_is_no_braking(drive: Drive) -> None:
@@ -303,14 +249,6 @@ def test_actors_that_do_not_exist_are_an_error(street: Reader, actors: Any, erro
 # --- recordings -----------------------------------------------------------------------------------------
 
 
-def test_the_time_to_collision_is_0_at_a_crash() -> None:
-    with closing(open_reader(SAMPLES / "crash.mcap")) as reader:
-        found = of(measures(reader), 41)
-        collision = next(frame.elapsed for frame in reader.frames(("collisions",), sparse=True))
-    assert found["time_to_collision"].value == 0
-    assert found["time_to_collision"].time == pytest.approx(collision, abs=0.051)
-
-
 def test_output(street: Reader) -> None:
     found = measures(street, [3])
     assert '"measure": "time_to_collision", "actor": 3, "type_id": "vehicle.audi.tt"' in "".join(json(found))
@@ -433,12 +371,6 @@ def test_rows_over_time_are_those_of_the_series(drive: Drive) -> None:
     assert {row.leader for row in both if row.actor == 2} == {None}
     with pytest.raises(RecapError, match="no vehicle or walker 4"):
         measures_over_time(reader, [4])
-
-
-def test_the_least_post_encroachment_time(drive: Drive) -> None:
-    cars = [straight(1, -20, 0, 10, role_name="hero"), straight(2, 0, -40, 10, yaw=90), straight(3, -45, 0, 10)]
-    row = of(measures(drive(cars, seconds=6)))["post_encroachment_time"]
-    assert (row.value, row.other) == (pytest.approx(1.4, abs=0.02), 2)
 
 
 def test_a_straight_line_out_of_a_bend_is_no_collision_course(drive: Drive) -> None:

@@ -1,13 +1,11 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from carla_recap.formats import open_reader
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.motion import MOTION
 from carla_recap.model.records import Spawn
@@ -17,7 +15,6 @@ from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.measures.pairs import paths_meet
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.conftest import Mover, straight
-from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
@@ -54,18 +51,6 @@ def test_encounters_of_two_actors_with_one_id_are_two(drive: Drive) -> None:
 
 
 # --- by time to collision -------------------------------------------------------------------------------
-
-
-def test_a_late_braking_behind_a_standing_car(drive: Drive) -> None:
-    """From 15 m/s at 7 m/s², to a stop 1 m behind it: the time to collision is least shortly before the end."""
-    (found,) = near_misses(drive([braking(1, 0, 15, 2.0, 7.0), straight(2, 30 + 225 / 14 + 5, 0, 0)], seconds=8))
-    assert (found.one.id, found.other.id) == (1, 2)
-    assert 1.6 <= found.start < found.time <= found.stop < 4.2
-    speed = found.speed
-    gap = 1 + speed * speed / 14
-    assert found.time_to_collision == pytest.approx(gap / speed, abs=0.01)
-    assert found.required_deceleration >= speed / (2 * found.time_to_collision) > 3.4
-    assert found.post_encroachment_time == math.inf
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
@@ -119,39 +104,6 @@ def test_no_near_miss(drive: Drive, other: Mover) -> None:
     assert near_misses(drive([straight(1, 0, 0, 15), other], seconds=8)) == []
 
 
-def test_the_other_lane_of_a_bend_is_no_obstacle(drive: Drive) -> None:
-    """Two cars meet in a bend, and others are parked beside it; their headings lead into each other."""
-
-    def bend(id: int, radius: float, speed: float, start: float) -> Mover:
-        def angle(t: float) -> float:
-            return start + speed * t / radius
-
-        return Mover(
-            id,
-            lambda t: radius * math.cos(angle(t)),
-            lambda t: radius * math.sin(angle(t)),
-            lambda t: math.degrees(angle(t)) + math.copysign(90, speed),
-        )
-
-    cars = [bend(1, 25, 9, 0), bend(2, 28.2, -9, 2.5), *(bend(3 + n, 31, 1e-9, n / 4) for n in range(8))]
-    assert near_misses(drive(cars, seconds=6)) == []
-
-
-def test_cutting_in(drive: Drive) -> None:
-    """A slow car comes from the side into the lane, and the other one brakes."""
-    cutting = Mover(2, lambda t: 30 + 5 * t, lambda t: 3.5 - min(max(t - 1, 0), 1) * 3.5, lambda t: -35 if 1 < t < 2 else 0)
-    (found,) = near_misses(drive([braking(1, 0, 15, 1.8, 8.0), cutting], seconds=6))
-    assert (found.one.id, found.other.id) == (1, 2)
-    assert found.time_to_collision < 1.5
-
-
-def test_a_pedestrian_in_front_of_a_car(drive: Drive) -> None:
-    walker = straight(2, 30, -3, 1.5, yaw=90, kind=2, type_id="walker.pedestrian.0001", size=(0.5, 0.5))
-    (found,) = near_misses(drive([braking(1, 0, 12, 1.2, 7.5), walker], seconds=8))
-    assert (found.one.id, found.other.id) == (1, 2)
-    assert found.time_to_collision <= 1.5
-
-
 def test_pedestrians_do_not_nearly_miss_each_other(drive: Drive) -> None:
     walkers = [
         straight(id, x, 0, 3, yaw=yaw, kind=2, type_id="walker.a", size=(0.5, 0.5))
@@ -169,22 +121,6 @@ def test_crossing_paths(drive: Drive) -> None:
     assert found.post_encroachment_time == pytest.approx(0.4, abs=0.03)
     assert found.time_to_collision == math.inf
     assert (found.start, found.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
-
-
-def test_following_around_a_corner_is_no_crossing(drive: Drive) -> None:
-    def corner(id: int, ahead: float) -> Mover:
-        def share(t: float) -> float:
-            return min(max((8 * t + ahead - 20) / (4 * math.pi), 0.0), 1.0)
-
-        def x(t: float) -> float:
-            return min(8 * t + ahead, 20.0) + 8 * math.sin(share(t) * math.pi / 2)
-
-        def y(t: float) -> float:
-            return 8 - 8 * math.cos(share(t) * math.pi / 2) + max(8 * t + ahead - 20 - 4 * math.pi, 0.0)
-
-        return Mover(id, x, y, lambda t: 90 * share(t))
-
-    assert near_misses(drive([corner(1, 0), corner(2, 8)], seconds=8)) == []
 
 
 # --- encounters -----------------------------------------------------------------------------------------
@@ -228,17 +164,6 @@ def test_of_some_actors(drive: Drive) -> None:
     reader = drive([straight(1, -20, 0, 10), straight(2, 0, -30, 10, yaw=90), straight(3, 50, 0, 10)], seconds=6)
     assert len(near_misses(reader, frozenset([1]))) == 1
     assert near_misses(reader, frozenset([3])) == []
-
-
-def test_a_teleport_is_none(drive: Drive) -> None:
-    car = Mover(1, lambda t: 15 * t if t < 2 else 15 * t + 40)
-    assert near_misses(drive([car, straight(2, 90, 0, 0)], seconds=2.45)) == []
-
-
-@pytest.mark.parametrize("name", ["junction.mcap", "blocked.mcap"])
-def test_samples_without(name: str) -> None:
-    with closing(open_reader(SAMPLES / name)) as reader:
-        assert near_misses(reader) == []
 
 
 # --- hostile recordings ---------------------------------------------------------------------------------

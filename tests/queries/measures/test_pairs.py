@@ -10,7 +10,6 @@ import pytest
 
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
-from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.pairs import ELEMENTS, PairFrames, near_pairs
 
@@ -54,30 +53,6 @@ def pairs_of(table, reach, subjects=True):
 def test_boxes_are_on_one_level_up_to_half_a_metre_between_them(dz, count):
     table = table_of([0, 5], z=[0, dz], heights=[1, 3])
     assert len(PairFrames.of(table, np.zeros(3, int), np.ones(3, int), np.arange(3)).frame) == count
-
-
-@pytest.mark.parametrize(("dz", "meet"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
-def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
-    time = np.arange(64) / 20
-    still = np.zeros(64)
-    table = replace(
-        table_of([0, 0], z=[0, dz], heights=[1, 3]),
-        last=64,
-        time=time,
-        x=np.stack([10 * (time - 1), still]),
-        y=np.stack([still, 10 * (time - 2)]),
-        z=np.stack([still, still + dz]),
-        yaw=np.stack([still, still + np.pi / 2]),
-        vx=np.stack([still + 10, still]),
-        vy=np.stack([still, still + 10]),
-    )
-    search = CrossingSearch(3.0)
-    search.add(table, np.array([True, True]))
-    found = search.finish()
-    assert (len(found) > 0) == meet
-    if meet:
-        assert [(each.other.id, each.one.id) for each in found] == [(1, 2)]
-        assert found[0].post_encroachment_time == pytest.approx(0.4, abs=0.03)
 
 
 @pytest.mark.parametrize(("distance", "are_near"), [(20.0, True), (20.1, False)])
