@@ -68,11 +68,6 @@ def test_classes_of_actors_by_blueprint(blueprint: str, kind: ActorKind, type: t
     assert actor.transform.location.x == 3
 
 
-def test_an_unknown_blueprint_names_similar_ones() -> None:
-    with pytest.raises(SpawnError, match=r"no blueprint 'vehicle.tesla.model4'; did you mean vehicle.tesla.model3"):
-        flat_world().spawn("vehicle.tesla.model4", at(0.0))
-
-
 def test_an_occupied_place_is_an_error() -> None:
     world = flat_world()
     vehicle(world, 0.0)

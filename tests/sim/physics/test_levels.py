@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.moving import VehicleControl, Walker
-from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.junctions import Signal, SignalKind
@@ -71,14 +70,6 @@ def test_a_car_hidden_by_teleport_and_brought_back_collides_again() -> None:
     assert not collisions(world, 3.0)
     other.transform = at(hero.transform.location.x + 8)
     assert collisions(world, 3.0)
-
-
-def test_props_stack() -> None:
-    world = flat_world()
-    props = [world.spawn("static.prop.container", at(30.0, z=100.0 * number)) for number in range(5)]
-    assert all(isinstance(prop, Prop) for prop in props)
-    with pytest.raises(SpawnError):
-        world.spawn("static.prop.container", at(30.0, z=201.0))
 
 
 def test_cars_pass_over_debris_and_not_over_a_cone() -> None:

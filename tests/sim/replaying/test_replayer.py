@@ -520,22 +520,6 @@ def test_lights_are_the_nearest_ones_and_show_what_is_recorded(tmp_path: Path) -
 # --- others, and what comes after --------------------------------------------------------------------------------------
 
 
-def test_others_go_on_as_if_nothing_happened(drive: Path) -> None:
-    def drive_other(world: World) -> list[float]:
-        other = spawn_car(world, at(20.0, 300.0), "vehicle.audi.a2")
-        other.apply_control(VehicleControl(throttle=0.5, steer=0.05))
-        places = []
-        for _ in range(100):
-            world.tick()
-            places.append(other.transform.location.x)
-        return places
-
-    alone, beside = new_world(), new_world()
-    beside.replay_file(drive)
-    # A world in which something is fast takes shorter steps.
-    assert drive_other(beside) == pytest.approx(drive_other(alone), abs=0.1)
-
-
 def test_the_front_wheels_of_a_replayed_vehicle_follow_the_recording(drive: Path) -> None:
     world = new_world()
     play(world, drive, 1, start=1.0)
