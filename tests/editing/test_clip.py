@@ -14,7 +14,6 @@ from carla_recap.editing.convert import convert
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.records import ORDER, UE4, UE5, Spawn, attributes
-from carla_recap.queries.incidents import incidents
 from carla_recap.replay.player import Player
 from carla_recap.replay.state import ReplayState
 from tests.samples import (
@@ -179,17 +178,6 @@ def test_clips_of_real_recordings(tmp_path: Path, name: str) -> None:
         assert sum(actor.kind == "traffic_light" for actor in recording.actors.values()) == 36
 
 
-def test_incidents_are_still_there(crossing: dict[str, Path], tmp_path: Path) -> None:
-    path = tmp_path / "clip.mcap"
-    clip(crossing[".mcap"], path, start=20.0, duration=10.0)
-    with reading(path) as reader:
-        rows = incidents(reader)
-    assert [(row.start, row.text) for row in rows if row.kind == "collision"] == [
-        (pytest.approx(0.9), "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
-        (pytest.approx(4.6), "hero collides with vehicle.audi.a2 (101)"),
-    ]
-
-
 # --- windows -------------------------------------------------------------------------------------------
 
 
@@ -289,12 +277,6 @@ def test_records_written_once_are_repeated_in_the_first_frame(small: Path, tmp_p
         assert len(after[name]) == 0
 
 
-def test_an_actor_destroyed_in_the_first_frame(small: Path, tmp_path: Path) -> None:
-    first = later_frame(small, tmp_path / "clip.log", 3.0)
-    assert [spawn.id for spawn in first["spawned"]] == [7, 8, 9]
-    assert first["destroyed"]["id"].tolist() == [8]
-
-
 def test_an_actor_destroyed_before_the_first_frame(tmp_path: Path) -> None:
     """It has no records; an actor that reuses its id has only its own."""
     path = tmp_path / "own.log"
@@ -368,43 +350,6 @@ def test_an_actor_without_a_pose_in_the_first_frame_is_where_it_was_last(tmp_pat
     assert [(spawn.id, spawn.x, spawn.yaw) for spawn in first["spawned"]] == [(1, 500.0, 90.0), (2, 9.0, 0.0)]
 
 
-def test_an_attached_actor_keeps_its_pose_relative_to_the_parent(tmp_path: Path) -> None:
-    path = tmp_path / "own.log"
-    with create_recording(path, map_name="Town01", date=0) as recorder:
-        recorder.add_frame(0.0, spawned=[Spawn(1, 1)], transforms=[(1, 0, 0, 0, 0, 0, 0)])
-        recorder.add_frame(1.0, spawned=[Spawn(2, 5, x=10.0)], parented=[(2, 1)], transforms=[(1, 500, 0, 0, 0, 0, 0)])
-        recorder.add_frame(2.0, transforms=[(1, 900, 0, 0, 0, 0, 90)])
-    first = later_frame(path, tmp_path / "clip.log", 2.0)
-    assert [(spawn.id, spawn.x, spawn.yaw) for spawn in first["spawned"]] == [(1, 900.0, 90.0), (2, 10.0, 0.0)]
-    assert_same_show(path, tmp_path / "clip.log", 2.0)
-
-
-def test_destroyed_actors_do_not_reappear(tmp_path: Path) -> None:
-    """Though their transforms are still recorded."""
-    path = tmp_path / "own.log"
-    both = [(1, 5, 0, 0, 0, 0, 0), (2, 6, 0, 0, 0, 0, 0)]
-    with create_recording(path, map_name="Town01", date=0) as recorder:
-        recorder.add_frame(0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], transforms=both)
-        recorder.add_frame(1.0, destroyed=[1], transforms=both)
-        for second in range(2, 5):
-            recorder.add_frame(second, transforms=both)
-        recorder.add_frame(5.0, spawned=[Spawn(1, 1)], transforms=both)
-    assert later_frame(path, tmp_path / "clip.log", 3.0)["destroyed"]["id"].tolist() == [1]
-    assert_same_show(path, tmp_path / "clip.log", 3.0)
-    first = later_frame(path, tmp_path / "last.log", 5.0)
-    assert len(first["destroyed"]) == 0
-    assert_same_show(path, tmp_path / "last.log", 5.0)
-
-
-def test_destroyed_actors_of_a_real_recording(tmp_path: Path) -> None:
-    source, path = carla_log("blocked.log"), tmp_path / "clip.log"
-    clip(source, path, start=199.5, duration=1.0)
-    with open_recording(source) as long, open_recording(path) as short:
-        ids = Player(short).at(0.0).ids.tolist()
-        assert ids == Player(long).at(199.5).ids.tolist()
-        assert 30 not in ids
-
-
 def test_more_destroyed_actors_than_a_packet_holds(tmp_path: Path) -> None:
     path = tmp_path / "own.log"
     with create_recording(path, map_name="Town01", date=0) as recorder:
@@ -448,22 +393,6 @@ def test_an_actor_with_a_late_parent_that_is_destroyed_next(tmp_path: Path) -> N
     clip(path, tmp_path / "clip.log", start=2.0)
     assert frames_of(tmp_path / "clip.log")[1]["parented"].tolist() == [(4, 1), (4, 3)]
     assert_same_show(path, tmp_path / "clip.log", 2.0)
-
-
-def test_actors_are_spawned_and_destroyed_within_a_clip(tmp_path: Path) -> None:
-    path = tmp_path / "own.log"
-    with create_recording(path, map_name="Town01", date=0) as recorder:
-        for second in range(6):
-            recorder.add_frame(
-                second,
-                spawned=[Spawn(second, 1, type_id="vehicle.a", attributes=attributes(color="red"))],
-                destroyed=[second - 2] if second > 1 else [],
-            )
-    clip(path, tmp_path / "clip.mcap", start=2.0, duration=3.0)
-    with open_recording(tmp_path / "clip.mcap") as recording:
-        stays = {actor.id: (actor.spawned_at, actor.destroyed_at) for actor in recording.actors.values()}
-        assert all(actor.attributes == {"color": "red"} for actor in recording.actors.values())
-    assert stays == {0: (0, 0), 1: (0, 1), 2: (0, 2), 3: (1, 3), 4: (2, None), 5: (3, None)}
 
 
 # --- headers and dialects ------------------------------------------------------------------------------

@@ -128,18 +128,6 @@ def test_a_vehicle_whose_spawn_comes_after_its_records_is_reported() -> None:
     assert [each.id for each in detector.finish()] == [1]
 
 
-@pytest.mark.parametrize("every", [1, 7, 40])
-def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch, every: int) -> None:
-    cars = {id: slowing(6.2, id / 3, 2.0) for id in range(1, 12)} | {100: slowing(0)}
-    options = {"frames": 1200, "has_velocities": False, "tick": 0.005, "every": every}
-    whole = detected(cars, **options).finish()
-    assert len(whole) == 11
-    monkeypatch.setattr(braking, "_BLOCK", 50)
-    monkeypatch.setattr(braking, "_CELLS", 200)
-    monkeypatch.setattr(braking, "_COLLECTED", 2000)
-    assert detected(cars, **options).finish() == whole
-
-
 def test_frames_of_a_few_seconds_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(braking, "_BLOCK", 50)
     detector = BrakingDetector({1}, 6.0)

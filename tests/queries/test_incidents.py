@@ -226,22 +226,6 @@ def test_what_no_brakes_can_do_is_no_hard_braking(tmp_path: Path, suffix: str) -
     assert row.value == pytest.approx(9.0, abs=0.1)
 
 
-def test_the_threshold_is_the_callers(tmp_path: Path) -> None:
-    path = drive(tmp_path / "drive.log", ways(slowing(4.0, speed=10)))
-    assert [len(braked(path, deceleration=limit)) for limit in (3.5, 4.5)] == [1, 0]
-
-
-def test_braking_that_does_not_last(tmp_path: Path) -> None:
-    """A touch of the brake, a stop in no time at all, and a wrong position."""
-    touch = [20.0] * 20 + [19.5, 19.0, 18.5] + [18.5] * 20
-    wall = [20.0] * 20 + [0.0] * 20
-    assert braked(drive(tmp_path / "touch.log", ways(touch))) == []
-    assert braked(drive(tmp_path / "wall.log", ways(wall))) == []
-    wrong = ways([20.0] * 40)
-    wrong[20] += 150
-    assert braked(drive(tmp_path / "wrong.log", wrong)) == []
-
-
 def test_an_emergency_stop_from_a_low_speed_is_hard_braking_and_a_crash_at_it_is_not(tmp_path: Path, suffix: str) -> None:
     """CARLA's tyres stop a car with 30 m/s² from 6.5 m/s, in 0.22 s; a wall that is recorded or not does so in less."""
     stop, crash = slowing(30.0, speed=6.5), [6.5] * 20 + [0.0] * 60
@@ -328,16 +312,6 @@ def test_the_value_of_a_long_stop_is_its_duration(make: Make) -> None:
     (row,) = incidents(make({"spawned": CAST, **still}, *[still] * 9), IncidentOptions(min_time=2.0))
     assert (row.measure, row.value, row.unit) == ("duration", row.stop - row.start, "s")
     assert (row.threshold, row.time) == (2.0, row.stop)
-
-
-def test_the_value_of_hard_braking_is_its_greatest_deceleration(tmp_path: Path, suffix: str) -> None:
-    speeds = [20.0] * 20
-    for deceleration in [7.0] * 10 + [9.0] * 10 + [7.0] * 10:
-        speeds.append(speeds[-1] - deceleration / RATE)
-    (row,) = braked(drive(tmp_path / f"drive{suffix}", ways(speeds), speeds))
-    assert (row.measure, row.unit, row.threshold) == ("deceleration", "m/s²", 6.0)
-    assert row.value == pytest.approx(9.0, abs=1e-3)
-    assert 30 / RATE <= row.time <= 40 / RATE
 
 
 def test_the_value_of_hard_braking_that_a_collision_ends_is_from_before(tmp_path: Path, suffix: str) -> None:

@@ -59,38 +59,6 @@ def along(road: Road) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return stations, np.stack((dx * cos + dy * sin, dy * cos - dx * sin)), headings - HEADING
 
 
-def test_a_line() -> None:
-    stations, (u, v), turns = along(road_of("<line/>"))
-    assert u == pytest.approx(stations)
-    assert v == pytest.approx(0, abs=1e-9)
-    assert turns == pytest.approx(0)
-
-
-@pytest.mark.parametrize("curvature", [0.05, -0.05])
-def test_an_arc(curvature: float) -> None:
-    stations, (u, v), turns = along(road_of(f'<arc curvature="{curvature}"/>'))
-    assert u == pytest.approx(np.sin(stations * curvature) / curvature)
-    assert v == pytest.approx((1 - np.cos(stations * curvature)) / curvature)
-    assert turns == pytest.approx(stations * curvature)
-
-
-@pytest.mark.parametrize(("first", "last"), [(0.0, 0.05), (0.05, -0.02), (-0.03, -0.03)])
-def test_a_spiral(first: float, last: float) -> None:
-    stations, points, turns = along(road_of(f'<spiral curvStart="{first}" curvEnd="{last}"/>'))
-    assert turns == pytest.approx(first * stations + (last - first) * stations**2 / 80)
-    directions = np.stack((np.cos(turns), np.sin(turns)))
-    course = np.cumsum((directions[:, 1:] + directions[:, :-1]) / 2, axis=1) * 0.1
-    assert points[:, 1:] == pytest.approx(course, abs=2e-3)
-
-
-def test_a_cubic() -> None:
-    stations, (u, v), turns = along(road_of('<poly3 a="0.5" b="0.1" c="-0.02" d="0.0004"/>'))
-    assert v == pytest.approx(0.5 + 0.1 * u - 0.02 * u**2 + 0.0004 * u**3, abs=1e-4)
-    assert np.tan(turns) == pytest.approx(0.1 - 0.04 * u + 0.0012 * u**2, abs=1e-4)
-    inside = u[1:] < 39  # its argument ends where the road does
-    assert np.hypot(np.diff(u), np.diff(v))[inside] == pytest.approx(np.diff(stations)[inside], abs=1e-4)
-
-
 def test_a_piece_begins_at_its_station() -> None:
     _, (u, _), turns = along(road_of('<line/>|<arc curvature="0.01"/>'))
     assert u[[0, 199, 200]] == pytest.approx([0, 19.9, 0])

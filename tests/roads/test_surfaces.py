@@ -10,7 +10,6 @@ import pytest
 from carla_recap.errors import RecapWarning
 from carla_recap.roads import barriers, lanes, surfaces
 from carla_recap.roads.lanes import TownRoads
-from carla_recap.roads.network import LIGHT, STOP, RoadNetwork
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.surfaces import build_network
 from tests.roads.straight_road import STRAIGHT_ROAD
@@ -18,7 +17,7 @@ from tests.roads.straight_road import STRAIGHT_ROAD
 if TYPE_CHECKING:
     from types import ModuleType
 
-EASTWARD = 0.0
+    from carla_recap.roads.network import RoadNetwork
 
 
 def with_light(s: float, lanes: tuple[int, int] | None = (-1, -1), orientation: str = "+", road: int = 1) -> RoadNetwork:
@@ -73,15 +72,6 @@ def test_a_light_without_lanes_is_for_its_direction(orientation: str, expected: 
     assert lines_of(with_light(20, None, orientation)) == [(20.0, *line) for line in expected]
 
 
-def test_the_kinds_and_places_of_signals() -> None:
-    network = build_network(STRAIGHT_ROAD)
-    assert network.signal_ids == ("11", "12")
-    light, stop = network.signals
-    assert (light["kind"], light["x"], light["y"]) == (LIGHT, 99, -4.5)
-    assert (stop["kind"], stop["x"], stop["y"]) == (STOP, 121, 4.5)
-    assert np.cos([light["heading"], stop["heading"]]) == pytest.approx([1, -1])
-
-
 def test_pieces_follow_each_other_in_the_direction_of_their_lane() -> None:
     network = build_network(STRAIGHT_ROAD)
     for number, lane in enumerate(network.lanes):
@@ -134,23 +124,6 @@ def test_a_limit_that_makes_a_large_map_less_exact_warns(
 
 
 EAST, WEST = -1.75, 1.75
-
-
-@pytest.mark.parametrize(
-    ("orientation", "limits"), [("+", [50, 72, 50, 50]), ("-", [50, 50, 72, 50]), ("none", [50, 72, 72, 50])]
-)
-def test_a_sign_without_lanes_is_for_its_direction_from_its_station_on(orientation: str, limits: list[int]) -> None:
-    signal = f'<signal id="13" s="50" t="-4.5" type="274" orientation="{orientation}" value="72" unit="km/h"/>'
-    assert limits_at(signal, [(45, EAST), (55, EAST), (45, WEST), (55, WEST)]) == limits
-
-
-def test_of_several_signs_the_last_one_passed_counts() -> None:
-    signals = "".join(
-        f'<signal id="{id}" s="{s}" t="0" type="274" orientation="none" value="{value}" unit="km/h"/>'
-        for id, s, value in ((14, 70, 90), (13, 30, 72))
-    )
-    points = [(x, y) for y in (EAST, WEST) for x in (20, 45, 80)]
-    assert limits_at(signals, points) == [50, 72, 90, 72, 90, 50]
 
 
 @pytest.mark.parametrize(

@@ -128,12 +128,6 @@ def test_any_bytes_are_metadata_or_an_error(data):
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
-def test_chunks_are_decompressed(compression):
-    chunk = packed(seal(CONTENT, compression, message_start_time=3, message_end_time=9))
-    assert open_chunk(chunk[9:]) == (3, 9, CONTENT)
-
-
-@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
 @pytest.mark.parametrize("size", [0, 1, len(CONTENT) - 1, len(CONTENT) + 1, CHUNK_LIMIT])
 def test_another_size_than_announced_is_an_error(compression, size):
     data = bytes(seal(CONTENT, compression).data)
