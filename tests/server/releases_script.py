@@ -261,8 +261,13 @@ def an_ackermann_control_drives_a_vehicle(session: Session) -> None:
     session.ticks(40)
     near(session.speed(), 4.0, 0.7)
     settings = session.car.get_ackermann_controller_settings()
+    near(settings.speed_kp, 0.15)
+    settings.speed_kp, settings.accel_kd = 1.5, 2.5
     session.car.apply_ackermann_controller_settings(settings)
-    session.stop(30)
+    assert session.car.get_ackermann_controller_settings() == settings
+    session.car.apply_control(carla.VehicleControl(brake=0.9))  # the client does not send what it has sent last
+    session.ticks(40)
+    near(session.speed(), 0.0, 0.1)
 
 
 @step
@@ -420,14 +425,22 @@ def a_batch_spawns_and_then_commands(session: Session) -> None:
         command.ApplyImpulse(first, carla.Vector3D()),
         command.ApplyForce(first, carla.Vector3D()),
         command.ApplyTorque(first, carla.Vector3D()),
+        command.ApplyAngularImpulse(first, carla.Vector3D()),
+        command.ApplyTargetAngularVelocity(first, carla.Vector3D()),
         command.SetSimulatePhysics(second, True),
         command.SetEnableGravity(second, True),
         command.SetVehicleLightState(first, carla.VehicleLightState.NONE),
         command.ApplyVehicleControl(first, carla.VehicleControl(brake=1.0)),
         command.ApplyVehicleControl(second, carla.VehicleControl(brake=1.0)),
     ]
-    assert not any(answer.error for answer in session.client.apply_batch_sync(batch, True))
+    assert [(answer.actor_id, answer.error) for answer in session.client.apply_batch_sync(batch[:2], True)] == [
+        (first, ""),
+        (second, ""),
+    ]
+    assert not any(answer.error for answer in session.client.apply_batch_sync(batch[2:], True))
+    session.client.apply_batch([command.ApplyVehicleControl(first, carla.VehicleControl(brake=0.75))])
     session.ticks(2)
+    near(cars[0].get_control().brake, 0.75)
     near(cars[0].get_physics_control().mass, 2345.0)
     assert int(cars[0].get_light_state()) == 0
     assert cars[1].get_location().distance(points[6].location) < 1.5

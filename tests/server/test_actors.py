@@ -46,17 +46,6 @@ def test_all_blueprints_can_be_spawned_and_their_attributes_read_back(client: ca
     client.apply_batch_sync([carla.command.DestroyActor(id) for id in actors], True)
 
 
-def test_the_record_of_an_actor_has_its_attributes(world: carla.World) -> None:
-    place = world.get_map().get_spawn_points()[0]
-    car = spawn(world, at=place, role_name="hero", color="1,2,3")
-    assert (car.type_id, car.attributes["role_name"], car.attributes["color"]) == ("vehicle.tesla.model3", "hero", "1,2,3")
-    assert (car.semantic_tags, car.parent, car.is_alive) == ([14], None, True)
-    assert car.get_transform().location.distance(place.location) < 0.5
-    assert car.bounding_box.extent.x == pytest.approx(2.395)
-    assert [actor.id for actor in world.get_actors().filter("vehicle.*")] == [car.id]
-    assert world.get_actor(car.id).id == car.id
-
-
 def test_an_actor_that_is_destroyed_before_a_tick_is_known(inside: Inside) -> None:
     id = inside.call("spawn_actor", [0, "vehicle.audi.tt", []], [[500.0, 0.0, 0.0], [0.0, 0.0, 0.0]])[0]
     assert inside.call("destroy_actor", id) is True
@@ -139,10 +128,7 @@ def test_pushes_at_a_place_and_torques_turn(inside: Inside) -> None:
 PUSHES: dict[str, Any] = {
     "set_actor_target_velocity": [[3e6, 0.0, 0.0]],
     "set_actor_target_angular_velocity": [[0.0, 0.0, 3e6]],
-    "add_actor_impulse": [[3e6, 0.0, 0.0]],
-    "add_actor_force": [[3e8, 0.0, 0.0]],
     "add_actor_impulse_at_location": [[3e6, 0.0, 0.0], [0.0, 0.0, 0.0]],
-    "add_actor_torque": [[0.0, 0.0, 3e9]],
 }
 
 

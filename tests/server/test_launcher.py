@@ -65,24 +65,15 @@ def test_the_usual_arguments_start_a_server_for_clients_until_it_is_terminated()
     assert refuses_connections(port)
 
 
-@pytest.fixture(scope="module")
-def ports() -> Iterator[tuple[int, int]]:
-    """The ports for calls and for streams of a server that is started for a map that is missing."""
+def test_ports_are_those_of_the_arguments_and_a_missing_map_is_replaced() -> None:
     calls, streams = free_port(), free_port()
     arguments = (f"-carla-rpc-port={calls}", f"-carla-streaming-port={streams}")
     with launched("/Game/Carla/Maps/Town77", *arguments) as (_, port):
         assert port == calls
-        yield calls, streams
-
-
-def test_streams_have_the_port_of_the_arguments(ports: tuple[int, int]) -> None:
-    calls, streams = ports
-    assert connect(calls).get_world().wait_for_tick(PATIENCE).frame > 0
-    socket.create_connection(("127.0.0.1", streams)).close()
-
-
-def test_a_missing_map_is_replaced_by_the_built_in_town(ports: tuple[int, int]) -> None:
-    assert connect(ports[0]).get_world().get_map().name.endswith("Town77")
+        world = connect(calls).get_world()
+        assert world.wait_for_tick(PATIENCE).frame > 0
+        assert world.get_map().name.endswith("Town77")
+        socket.create_connection(("127.0.0.1", streams)).close()
 
 
 def test_an_interrupt_of_the_launcher_ends_the_server() -> None:

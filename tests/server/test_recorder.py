@@ -372,12 +372,6 @@ def test_that_a_recording_ends_another_or_a_replay_is_logged(
     inside.world.close()
 
 
-def test_a_recording_that_runs_is_completed_and_can_be_replayed(client: carla.Client, world: carla.World) -> None:
-    client.start_recorder("fresh")
-    ticks(world, 5)
-    assert "Total time recorded: 0.2\n" in client.replay_file("fresh", 0.0, 0.0, 0)
-
-
 def test_the_spectator_follows_at_an_offset(client: carla.Client, world: carla.World) -> None:
     (id,) = re.findall(r"Create (\d+): vehicle\.tesla", client.show_recorder_file_info("drive", False))
     offsets = (carla.Transform(carla.Location(-10, 0, 5), carla.Rotation(pitch=-25)), carla.Transform(carla.Location(z=40)))

@@ -73,6 +73,7 @@ def test_each_tick_has_its_data_of_its_moment(client: carla.Client, world: carla
             elif kind == "other.gnss":
                 there = world.get_map().transform_to_geolocation(measured.transform.location)
                 assert (measured.latitude, measured.longitude) == pytest.approx((there.latitude, there.longitude), abs=1e-9)
+                assert measured.altitude == pytest.approx(there.altitude, abs=1e-4)
     assert hero.get_velocity().length() > 5.0
     assert all(queue.empty() for queue in data.values())
 

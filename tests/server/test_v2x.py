@@ -92,26 +92,18 @@ def times(speed: float, steer: float = 0.0, **attributes: str) -> list[int]:
     return [frame - first for frame, _ in cams(receiver)][1:]
 
 
-def test_a_vehicle_at_rest_sends_every_second() -> None:
-    assert times(0.0) == [20, 40]
-
-
-def test_a_vehicle_sends_after_4_m() -> None:
-    sent = times(16.0)
-    assert sent[:4] == [2, 4, 6, 8]  # the first one for its speed, then three more after the same time
-    assert sent[4:6] == [14, 20]  # of 0.8 m each tick
-
-
-def test_a_vehicle_sends_after_4_degrees() -> None:
-    assert times(0.0, steer=1.1)[:3] == [4, 8, 12]
-
-
-def test_a_fixed_rate_is_the_shortest_interval() -> None:
-    assert times(0.0, fixed_rate="true", gen_cam_min="0.25")[:3] == [5, 10, 15]
-
-
-def test_sensor_tick_delays_messages() -> None:
-    assert times(16.0, sensor_tick="0.5") == [10, 20, 30, 40]
+@pytest.mark.parametrize(
+    ("motion", "expected"),
+    [
+        ({"speed": 0.0}, [20, 40]),  # every second
+        ({"speed": 16.0}, [2, 4, 6, 8, 14, 20]),  # for its speed, three more after the same time, then every 4 m
+        ({"speed": 0.0, "steer": 1.1}, [4, 8, 12]),  # every 4 degrees
+        ({"speed": 0.0, "fixed_rate": "true", "gen_cam_min": "0.25"}, [5, 10, 15]),
+        ({"speed": 16.0, "sensor_tick": "0.5"}, [10, 20, 30, 40]),
+    ],
+)
+def test_a_vehicle_sends_when_it_has_moved_or_after_some_time(motion: dict[str, Any], expected: list[int]) -> None:
+    assert times(**motion)[: len(expected)] == expected
 
 
 def test_messages_differ_by_the_motion() -> None:

@@ -50,21 +50,6 @@ def test_acceleration_and_steering_have_limits(world: carla.World, car: carla.Ve
     assert 1.5 < car.get_velocity().length() < 5.1
 
 
-def test_pedals_end_what_was_told_before(world: carla.World, car: carla.Vehicle) -> None:
-    car.apply_ackermann_control(carla.VehicleAckermannControl(speed=10.0))
-    ticks(world, 20)
-    car.apply_control(carla.VehicleControl(brake=1.0))
-    ticks(world, 40)
-    assert car.get_velocity().length() == 0.0
-
-
-def test_the_gains_of_controllers_are_kept(car: carla.Vehicle) -> None:
-    assert car.get_ackermann_controller_settings().speed_kp == pytest.approx(0.15)
-    gains = carla.AckermannControllerSettings(speed_kp=1, speed_ki=2, speed_kd=3, accel_kp=4, accel_ki=5, accel_kd=6)
-    car.apply_ackermann_controller_settings(gains)
-    assert car.get_ackermann_controller_settings() == gains
-
-
 def test_the_physics_control_of_every_blueprint_comes_back_as_it_was_sent(world: carla.World) -> None:
     for blueprint in world.get_blueprint_library().filter("vehicle.*"):
         vehicle = world.spawn_actor(blueprint, FAR)
@@ -117,14 +102,6 @@ def test_a_physics_control_with_fewer_wheels_changes_the_first_ones(inside: Insi
     with pytest.raises(RecapError, match="1 to 6 wheels were expected, found 7"):
         inside.call("apply_physics_control", truck.id, [*sent[:15], [*sent[15], sent[15][0]], *sent[16:]])
     truck.destroy()
-
-
-def test_lights_are_switched(world: carla.World, car: carla.Vehicle) -> None:
-    state = carla.VehicleLightState(carla.VehicleLightState.LowBeam | carla.VehicleLightState.LeftBlinker)
-    car.set_light_state(state)
-    world.tick()
-    assert car.get_light_state() == state
-    assert world.get_vehicles_light_states()[car.id] == state
 
 
 def test_doors_open_and_close(inside: Inside) -> None:

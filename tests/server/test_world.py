@@ -9,6 +9,7 @@ import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.scene.materials import Tag
 from carla_recap.sim.world import World
 from tests.server.client import spawn
 from tests.server.inside import Inside
@@ -19,15 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_a_ray_meets_cars_and_the_road(world: carla.World) -> None:
-    car = spawn(world)
-    place = car.get_location()
-    met = world.cast_ray(carla.Location(place.x, place.y, 10.0), carla.Location(place.x, place.y, -5.0))
-    assert [point.label for point in met] == [carla.CityObjectLabel.Car, carla.CityObjectLabel.Roads]
-    assert [point.location.z for point in met] == pytest.approx([2 * car.bounding_box.extent.z, 0.0], abs=0.02)
-    assert world.cast_ray(place + carla.Location(z=10.0), place + carla.Location(z=20.0)) == []
-
-
 def test_rays_and_projections_meet_their_level(tmp_path: Path) -> None:
     inside = Inside(world=World(str(two_levels(tmp_path))))
     car, _ = (inside.world.spawn("vehicle.tesla.model3", at(0.0, 1.75, z=z + 0.3)) for z in (0.0, BRIDGE))
@@ -36,6 +28,8 @@ def test_rays_and_projections_meet_their_level(tmp_path: Path) -> None:
     for top, expected in ((12.0, [BRIDGE + height, BRIDGE]), (5.0, [height, 0.0])):
         met = inside.call("cast_ray", [0.0, 1.75, top], [0.0, 1.75, expected[-1] - 1])
         assert [location[2] for location, _ in met] == pytest.approx(expected, abs=0.05)
+        assert [label for _, label in met] == [Tag.CAR, Tag.ROADS]
+    assert inside.call("cast_ray", [0.0, 1.75, 12.0], [0.0, 1.75, 20.0]) == []
     _, (location, _) = inside.call("project_point", [20.0, 1.75, 3.0], [0.0, 0.0, -1.0], 10.0)
     assert location[2] == pytest.approx(0.0, abs=0.02)
 
