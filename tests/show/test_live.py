@@ -17,12 +17,13 @@ from tests.replay.scripts import pose, spawn, write
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from carla_recap.show.foxglove.messages import SceneUpdate
 from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
 from carla_recap.show.rerun import LiveView, bodies, live_blueprint
-from carla_recap.show.rerun.sinks import Rrd
+from carla_recap.show.rerun.sinks import Rrd, piped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -115,6 +116,19 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
         assert {"Mesh3D:vertex_positions", "Transform3D:translation"} <= drawn[f"/world/actors/{id}"]
     check_flat(sizes, memory)
     assert max(threads[1:]) <= threads[0]  # each other actor that is followed has another blueprint
+
+
+def test_a_live_file_has_no_index_that_grows_in_memory() -> None:
+    def size(*, live: bool) -> int:
+        data: list[bytes] = []
+        with piped(live_blueprint(), data.append, live=live) as stream:
+            for number in range(200):
+                stream.set_time("frame", sequence=number)
+                stream.log(f"/{number}", rr.Scalars(number))
+                stream.flush()
+        return sum(map(len, data))
+
+    assert size(live=True) < 0.7 * size(live=False)
 
 
 @pytest.mark.usefixtures("traced")

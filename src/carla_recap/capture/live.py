@@ -7,6 +7,7 @@ second, and leaves out the others.
 from __future__ import annotations
 
 import math
+import os
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -124,7 +125,7 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
 
         with FoxgloveServer("", foxglove_port):
             return
-    import carla_recap.show.rerun  # noqa: F401  # it may be missing
+    _import_rerun()
 
     if to is None:
         if not has_display():
@@ -134,6 +135,17 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
         if Path(to).suffix.lower() != _SUFFIX:
             raise RecapError(f"{to}: an .rrd, or the address of a viewer, {_ADDRESS}://..., was expected")
         check_free(to, force=force)
+
+
+def _import_rerun() -> None:
+    """Import Rerun, if it is installed, so that it does not warn of an .rrd without an index."""
+    given = os.environ.get("RUST_LOG")
+    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")  # is read once
+    try:
+        import carla_recap.show.rerun  # noqa: F401
+    finally:
+        if given is None:
+            del os.environ["RUST_LOG"]
 
 
 @contextmanager
@@ -165,7 +177,7 @@ def _in_rerun(
             stream = stack.enter_context(sent(arrangement, str(to)))
         else:
             file = stack.enter_context(WholeFile(to, live=True))
-            stream = stack.enter_context(piped(arrangement, file.write))
+            stream = stack.enter_context(piped(arrangement, file.write, live=True))
         yield LiveView(stream, header, source, follow=follow, view=view, road_map=road_map), is_open
 
 

@@ -62,12 +62,13 @@ class Rrd:
 
 
 @contextmanager
-def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterator[rr.RecordingStream]:
+def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object], *, live: bool = False) -> Iterator[rr.RecordingStream]:
     """Open a stream whose bytes are passed on as they come, so that they do not fill the memory; a context manager.
 
     Args:
         arrangement: The arrangement of the viewer.
         put: Takes the bytes, in another thread; its errors are raised at the end.
+        live: Leave out the index of all chunks at the end, which the SDK keeps in memory until then.
     """
     if not _DESCRIPTORS.exists():
         with Rrd(arrangement) as rrd:
@@ -76,7 +77,7 @@ def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterato
         return
     stream = rr.RecordingStream(APPLICATION, send_properties=False)
     try:
-        drain = _connect(stream, put)
+        drain = _connect(stream, put, index=not live)
         try:
             send_blueprint(arrangement, stream)
             yield stream
@@ -109,10 +110,10 @@ def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStrea
         _clean_up()
 
 
-def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object]) -> _PipeReader:
+def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object], *, index: bool) -> _PipeReader:
     end, own = os.pipe()
     try:
-        stream.save(f"{_DESCRIPTORS}/{own}")
+        stream.save(f"{_DESCRIPTORS}/{own}", write_footer=index)
     except RuntimeError as error:
         os.close(end)
         raise RecapError(f"a pipe for Rerun cannot be made: {single_line(error)}") from None
