@@ -16,7 +16,6 @@ from carla_recap.replay import Player
 from carla_recap.scene.actor_instances import SceneActors, instances_of
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.lamps import lamps_of_vehicles
-from carla_recap.scene.marks import MARKED
 from carla_recap.scene.materials import Material, Tag
 from carla_recap.scene.models import INDEX, MODELS
 from tests.replay.scripts import light, pose, spawn, write
@@ -274,21 +273,6 @@ def test_a_walker_who_was_knocked_down_lies_in_the_direction_of_the_hit(played, 
     assert lying.rotations[1, 2, 0] == pytest.approx(facing)  # hit from behind, it lies on its face
     assert np.linalg.det(lying.rotations[1]) == pytest.approx(1)
     assert lying.locations[1, 2] == pytest.approx(lying.half_extents[1, 0])  # on the ground
-
-
-def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
-    actors = SceneActors()
-    mark = INDEX["collision mark"]
-    marked = {}
-    for scene in played(*accident()).scenes():
-        found = actors.at(scene)
-        marked[round(scene.time, 1)] = found.locations[found.models == mark]
-        assert len(found.ids) == len(found.models)
-        assert (found.ids[1:] > found.ids[:-1]).all()
-    assert not len(marked[0.1])
-    assert marked[0.2][0] == pytest.approx((2, 0, 0.03), abs=0.02)  # at the walker's feet
-    assert len(marked[round(0.2 + MARKED - 0.1, 1)]) == 1
-    assert not len(marked[round(0.2 + MARKED + 0.1, 1)])
 
 
 @pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (4.9, 1), (7.5, 0)])

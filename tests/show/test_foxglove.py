@@ -137,24 +137,6 @@ def _serialized(path):
 # --- the scene -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("time", [0.3, 10.0, 24.7, 53.0])
-def test_actors_have_their_recorded_poses(crossing, time):
-    with open_recording(CROSSING) as recording:
-        trajectory = recording.trajectory(HERO)
-        box = recording.actors[HERO].bounding_box
-    row = int(np.argmin(np.abs(trajectory.time - time)))
-    _, transform = moves(crossing, HERO, time)[-1]
-    assert xyz(transform.translation) == pytest.approx([trajectory.x[row], trajectory.y[row], trajectory.z[row]], abs=1e-4)
-    yaw = 2 * math.atan2(transform.rotation.z, transform.rotation.w)
-    assert math.remainder(yaw - math.radians(trajectory.yaw[row]), 2 * math.pi) == pytest.approx(0, abs=1e-5)
-    entity = bodies(crossing, time)[f"actor {HERO}"]
-    assert (entity.frame_id, entity.frame_locked) == (f"actor {HERO}", True)
-    points = corners(entity)
-    size, middle = np.ptp(points, axis=0), (points.min(axis=0) + points.max(axis=0)) / 2
-    assert size == pytest.approx([2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z], abs=1e-3)
-    assert middle == pytest.approx([box.x, box.y, box.z], abs=1e-3)
-
-
 def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
     (time,) = [
         time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"
@@ -351,31 +333,6 @@ def test_lights_are_written_when_they_change_and_at_the_end(record):
     assert topics["/lights"][0][1].lights[0].entity in seen(topics["/scene/signals"])
 
 
-def boxed(shape):
-    """Return the middle and the size of the triangles of a shape."""
-    points = np.array([xyz(point) for point in shape.points])
-    return (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0)
-
-
-def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
-    flags = [0, 8, 8, 16, 0]
-    topics = record(
-        *(
-            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_lights": [(1, each)]}
-            for n, each in enumerate(flags)
-        )
-    )
-    shown = [seen(topics["/scene/lamps"], n / 10) for n in range(5)]
-    assert [list(entities) for entities in shown] == [[], ["lamps 1"], ["lamps 1"], ["lamps 1"], []]
-    brake, indicator = ([boxed(shape) for shape in shown[n]["lamps 1"].triangles] for n in (1, 3))
-    assert all(middle[0] < -0.3 and max(size) < 0.6 for middle, size in brake)
-    assert {middle[1] > 0 for middle, _ in brake} == {True, False}
-    assert all(middle[1] < 0 for middle, _ in indicator)  # the right ones
-    colors = [shown[n]["lamps 1"].triangles[0].color for n in (1, 3)]
-    assert [(color.r > 0.9, 0.4 < color.g < 0.9) for color in colors] == [(True, False), (True, True)]
-    assert len(topics["/scene/lamps"]) == 4
-
-
 def test_lamps_go_with_their_vehicle(record):
     topics = record({"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]}, {"destroyed": [1]}, {})
     assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(2)] == [True, False]
@@ -408,30 +365,6 @@ def test_the_light_ahead_is_marked(crossing):
     (mark,) = seen(crossing["/scene/ahead"], series.time[red]).values()
     assert (mark.frame_id, mark.texts[0].text) == (f"actor {FIRST_LIGHT}", f"light {FIRST_LIGHT}: red")
     assert seen(crossing["/scene/ahead"], series.time[none]) == {}
-
-
-def test_the_followed_frame_is_level_and_calm(record):
-    yaws = [0, 90, 90, 90, 90, 90, 90]
-    topics = record(
-        *(
-            {
-                "spawned": [spawn(1, role_name="hero")] if n == 0 else [],
-                "transforms": [pose(1, x=100 * n, roll=20, pitch=10, yaw=yaw)],
-            }
-            for n, yaw in enumerate(yaws)
-        )
-    )
-    views, heroes = zip(*([*message.transforms] for _, message in topics["/tf"]), strict=True)
-    assert {view.child_frame_id for view in views} == {"followed"}
-    assert {hero.child_frame_id for hero in heroes} == {"hero"}
-    assert {frame.parent_frame_id for frame in (*views, *heroes)} == {"world"}
-    assert all(abs(view.rotation.x) + abs(view.rotation.y) < 1e-12 for view in views)
-    headings = [-2 * math.degrees(math.atan2(view.rotation.z, view.rotation.w)) for view in views]
-    assert headings[0] == pytest.approx(0)
-    assert headings == sorted(headings)
-    assert 5 < headings[1] < 45 < headings[-1] < 90
-    assert [view.translation.x for view in views] == pytest.approx(range(7))
-    assert abs(heroes[0].rotation.x) > 0.1
 
 
 def test_another_actor_can_be_followed(tmp_path):
@@ -494,15 +427,6 @@ def test_the_town_is_written_at_the_beginning(tmp_path, brickfield):
     assert points.max(axis=0) == pytest.approx(town.bounds[:, 1].max(axis=0), abs=1e-3)
 
 
-def test_a_map_of_another_town_is_left_out(tmp_path, brickfield):
-    source = write(tmp_path / "far.log", [{"spawned": [spawn(1)], "transforms": [pose(1, x=1e6)]}, {}])
-    with pytest.warns(RecapWarning, match="no actor is near this map"):
-        export(source, tmp_path / "export.mcap", road_map=brickfield)
-    ((_, message),) = read(tmp_path / "export.mcap")["/map"]
-    points = np.concatenate([corners(entity) for entity in message.entities])
-    assert points[:, 0].min() > 9000
-
-
 def test_without_a_map_the_driven_corridors_are_roads(crossing):
     ((_, message),) = crossing["/map"]
     points = np.concatenate([corners(entity) for entity in message.entities])[:, :2]
@@ -533,10 +457,6 @@ def texts(value):
 @pytest.fixture(params=layout_files().values(), ids=lambda path: path.stem)
 def layout(request):
     return json.loads(request.param.read_text("utf-8"))
-
-
-def test_there_are_two_layouts():
-    assert [path.name for path in layout_files().values()] == ["carla-recap.foxglove.json", "carla-recap.lichtblick.json"]
 
 
 def test_both_layouts_have_the_same_panels_but_for_legends():
@@ -587,11 +507,6 @@ def test_a_layout_follows_from_behind(layout, crossing):
     place = np.array([math.sin(phi) * math.sin(theta), -math.sin(phi) * math.cos(theta), math.cos(phi)]) * distance
     assert place + camera["targetOffset"] == pytest.approx([-9, 0, 4.5], abs=0.02)
     assert (above["followTf"], above["cameraState"]["phi"], above["cameraState"]["perspective"]) == ("followed", 0, False)
-
-
-def test_the_event_log_is_shown(layout):
-    ((_, config),) = [panel for panel in panels(layout) if panel[0] in ("RosOut", "Log")]
-    assert (config["topicToRender"], config["minLogLevel"]) == ("/log", 2)
 
 
 def test_no_topic_is_one_of_a_recording():

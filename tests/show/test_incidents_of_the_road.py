@@ -12,9 +12,8 @@ from carla_recap.model.records import Spawn
 from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap
-from carla_recap.roads.surfaces import build_network, road_network_of_map
+from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.captions import PlayedIncidents, incident_lines, shown_options
-from carla_recap.show.page import write_report
 from carla_recap.show.video.film import Film
 from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 from tests.samples import SAMPLES
@@ -87,13 +86,6 @@ def test_without_a_map_they_are_left_out(recording: Recording) -> None:
     for _ in player.batches():
         pass
     assert list(played.found()) == []
-
-
-def test_the_page_lists_them(recording: Recording, tmp_path: Path) -> None:
-    options = IncidentOptions(kinds="all", roads=build_network(STRAIGHT_ROAD))
-    written = write_report(recording, tmp_path / "page.html", options, pictures="none")
-    assert written.incidents == 1
-    assert "runs a red light" in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.parametrize("opendrive", ["", "no XML", "<OpenDRIVE/>"])

@@ -105,34 +105,6 @@ def test_a_picture_shows_the_model(folder, tmp_path):
     assert counts[1] > 300
 
 
-def test_rerun_shows_the_model(folder, tmp_path):
-    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-    from carla_recap import export_rerun
-    from tests.show.rerun_reader import Rrd
-
-    use_models(folder)
-    with open_recording(SAMPLE) as recording:
-        export_rerun(recording, tmp_path / "out.rrd", start=12, duration=1, follow=100)
-    rrd = Rrd(tmp_path / "out.rrd")
-    colors = np.array(rrd.at("/world/actors/100", "Mesh3D:vertex_colors", 12.5), ">u4").view(np.uint8).reshape(-1, 4)
-    assert (colors[:, 1] == 0).sum() >= 24
-    points = np.array(rrd.at("/world/actors/100", "Mesh3D:vertex_positions", 12.5))
-    assert np.ptp(points[: 3 * 36], axis=0) == pytest.approx((2 * 2.396, 2 * 1.082, 2 * 0.744), abs=0.01)
-
-
-def test_foxglove_shows_the_model(folder, tmp_path):
-    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra `foxglove` is not installed")
-    from carla_recap import export_foxglove
-    from tests.show.foxglove_reader import bodies, read
-
-    use_models(folder)
-    with open_recording(SAMPLE) as recording:
-        export_foxglove(recording, tmp_path / "out.mcap", start=12, duration=1, follow=100)
-    body = bodies(read(tmp_path / "out.mcap"))["actor 100"]
-    colors = {(part.color.r, part.color.g, part.color.b): len(part.indices) for part in body.triangles}
-    assert colors[1, 0, 1] == 36
-
-
 @pytest.mark.parametrize(
     ("name", "content", "why"),
     [

@@ -14,7 +14,6 @@ import psutil
 import pytest
 
 from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
-from carla_recap.queries.kinds import KINDS
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap, load_map
 from carla_recap.scene import style
@@ -81,22 +80,6 @@ def test_all_frames_are_played(crossing) -> None:
     assert [entry.application_id for entry in crossing.rrd.reader.recordings()] == [APPLICATION]
 
 
-def test_every_actor_has_an_entity(crossing) -> None:
-    expected = {
-        f"/world/actors/{id}" for id in crossing.recording.actors if crossing.recording.actors[id].type_id != "spectator"
-    }
-    shown = {path for path in crossing.rrd.entities if path.startswith("/world/actors/") and "/lamps/" not in path}
-    assert shown == expected
-
-
-@pytest.mark.parametrize("id", [HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER])
-def test_actors_are_where_they_were(crossing, id: int) -> None:
-    way, path = crossing.recording.trajectory(id), f"/world/actors/{id}"
-    for time, *place, yaw in zip(way.time, way.x, way.y, way.z, way.yaw, strict=True):
-        assert crossing.rrd.place(path, time) == pytest.approx(place, abs=1e-4)
-        assert near(crossing.rrd.angle(path, time), yaw)
-
-
 def test_stationary_actors_have_few_rows(crossing) -> None:
     rows = crossing.rrd.rows(f"/world/actors/{HERO}", "Transform3D:translation")
     way = crossing.recording.trajectory(HERO)
@@ -125,17 +108,6 @@ def size_of(rrd: Rrd, id: int, time: float) -> np.ndarray | None:
     colors = np.array(rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_colors", time))
     solid = np.array(vertices)[colors != meshes.packed(np.array([meshes._SHADOW_COLOR], np.uint8))[0]]
     return (solid.max(axis=0) - solid.min(axis=0)) / 2
-
-
-def test_models_fill_the_recorded_boxes(crossing) -> None:
-    for id in (HERO, CYCLIST, WALKER):
-        actor = crossing.recording.actors[id]
-        box = actor.bounding_box
-        assert size_of(crossing.rrd, id, actor.spawned_at) == pytest.approx(
-            (box.extent_x, box.extent_y, box.extent_z), abs=1e-3
-        )
-        vertices = np.array(crossing.rrd.rows(f"/world/actors/{id}", "Mesh3D:vertex_positions")[0][1])
-        assert vertices[:, 2].max() == pytest.approx(box.z + box.extent_z, abs=1e-3)
 
 
 def test_the_hero_is_named(crossing) -> None:
@@ -267,21 +239,6 @@ def test_lights_change_as_recorded(crossing) -> None:
     assert crossing.rrd.static[f"/signals/tl_{LIGHT}"]["StateConfiguration:values"][:3] == ["red", "yellow", "green"]
 
 
-def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
-    first = list(crossing.recording.collisions())
-    told = [(time, text) for time, (text,) in crossing.rrd.rows("/events", "TextLog:text") if "collides" in text]
-    assert [time for time, _ in told] == pytest.approx([row.elapsed for row in first])
-    assert told[1][1] == f"hero collides with vehicle.audi.a2 ({BLOCKING})"
-    begins = [time for time, _ in told]
-    marks = crossing.rrd.rows("/world/collisions", "LineStrips3D:strips")
-    assert [time for time, _ in marks[:2]] == begins
-    stops = [stop for stop, _ in crossing.rrd.rows("/world/collisions", "Clear:is_recursive")]
-    assert len(stops) == 1
-    assert begins[1] + 5 <= stops[0] < begins[1] + 6  # 5 s after the last frame of the contact
-    heights = [point[2] for strip in marks[0][1] for point in strip]
-    assert max(heights) < 0.2
-
-
 def test_the_spawns_are_read_once_for_all_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts, asked = [], []
     for cameras in (None, tmp_path / "cameras"):
@@ -298,21 +255,6 @@ def test_the_spawns_are_read_once_for_all_cameras(tmp_path: Path, monkeypatch: p
         counts.append(asked.count(("spawned",)))
     assert len(list((tmp_path / "cameras").iterdir())) > 3
     assert counts[0] == counts[1] > 0
-
-
-def test_incidents_are_lanes_of_states(crossing) -> None:
-    seconds = np.array([frame.elapsed for frame in crossing.recording])
-    for incident in crossing.recording.incidents():
-        rows = crossing.rrd.rows(f"/incidents/{KINDS[incident.kind].option}", "StateChange:state")
-        states = {}
-        for time in (incident.start, incident.stop):
-            states[time] = next(state for begin, (state,) in reversed(rows) if begin <= time + 1e-6)
-        assert set(states.values()) == {f"{KINDS[incident.kind].singular}: {', '.join(map(str, sorted(incident.actors)))}"}
-        later = [state for begin, (state,) in rows if begin > incident.stop + 1e-6]
-        assert later[:1] == (["none"] if incident.stop < seconds[-1] - 1e-6 else [])
-    assert {path for path in crossing.rrd.entities if path.startswith("/incidents/")} == {
-        f"/incidents/{KINDS[incident.kind].option}" for incident in crossing.recording.incidents()
-    }
 
 
 def test_incidents_outside_of_the_exported_part_are_left_out(crossing, tmp_path: Path) -> None:
@@ -407,14 +349,6 @@ def test_the_camera_waits_where_the_actor_will_appear(tmp_path: Path) -> None:
     frames[2] |= {"transforms": [pose(1, 700, 300)]}
     rrd = export(write(tmp_path / "late.log", frames), tmp_path / "late.rrd", follow=1)
     assert rrd.place("/world/chase", 0) == pytest.approx([7, -3, 0])
-
-
-def test_invalid_numbers_are_left_out(tmp_path: Path) -> None:
-    frames = driven(5, spawned=[spawn(1)])
-    frames[2] = {"transforms": [pose(1, np.nan)]}
-    rrd = export(write(tmp_path / "nan.log", frames), tmp_path / "nan.rrd")
-    assert [rrd.place("/world/actors/1", t)[0] for t in range(5)] == [0, 1, 1, 3, 4]
-    assert rrd.place("/world/chase", 4) == [4, 0, 0]
 
 
 def test_no_actor_to_follow(tmp_path: Path) -> None:

@@ -232,13 +232,6 @@ def test_log_times_are_those_of_the_frames(topics: Any) -> None:
         assert image.timestamp.ToNanoseconds() == time
 
 
-def test_metadata_of_topics_have_the_specification(path: Path) -> None:
-    with open_recording(path) as recording:
-        assert [sensor.id for sensor in recording.sensors] == [spec.id for spec in RIG]
-        for sensor, spec in zip(recording.sensors, RIG, strict=True):
-            assert SensorRig.of([sensor.spec])[spec.id] == spec
-
-
 # --- geometry ------------------------------------------------------------------------------------------------------
 
 

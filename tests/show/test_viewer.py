@@ -121,9 +121,3 @@ def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":4711")
     with open_recording(SAMPLE) as recording, time_limit(), pytest.raises(RecapError, match=r"exit code 1: Failed to open"):
         view(recording, start=20, duration=1)
-
-
-@pytest.mark.parametrize(("options", "message"), [({"start": 60}, "nothing at 60 s"), ({"follow": 9999}, "no actor 9999")])
-def test_invalid_arguments_are_errors(temporary, options, message):
-    with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match=message):
-        view(recording, web=True, **options)

@@ -11,7 +11,6 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.rendering.town import load_town_of
 from carla_recap.show.page import Opening, samples, write_report
 from tests.replay.scripts import pose, spawn
-from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
 
 if TYPE_CHECKING:
@@ -99,16 +98,6 @@ def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path,
     page = tmp_path / "page"
     listed, spans = data(page, "report")["incidents"], data(page, "recording")["spans"]
     assert [any(start <= one["start"] <= stop for start, stop in spans) for one in listed] == [True, False, False, False]
-
-
-def test_force_keeps_other_files(tmp_path: Path) -> None:
-    (tmp_path / "page" / "data").mkdir(parents=True)
-    for name in ("mine.txt", "index.html", "data/mine.png"):
-        (tmp_path / "page" / name).write_text("mine")
-    page = report(record(tmp_path / "a.log", [{}]), tmp_path / "page", force=True)
-    assert (page / "mine.txt").read_text() == (page / "data" / "mine.png").read_text() == "mine"
-    assert "canvas" in (page / "index.html").read_text()
-    assert names_in(tmp_path) == ["a.log", "page"]
 
 
 def test_hostile_texts_stay_texts_in_scripts(tmp_path: Path) -> None:

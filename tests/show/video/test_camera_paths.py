@@ -135,20 +135,6 @@ def test_without_an_actor_the_camera_shows_most_of_them() -> None:
 # --- what is see-through --------------------------------------------------------------------------------------
 
 
-def opacities(filmed: Subject, *others: tuple[float, float, float]) -> list[float]:
-    """Return the opacities of the followed actor and of others, at locations ahead, left and above of it."""
-    centre = filmed.ground + np.array((0, 0, filmed.half[2]))
-    seen = instances(*(tuple(centre + offset) for offset in ((0, 0, 0), *others)))
-    taken = camera("chase", filmed, seen=seen)
-    return [float(each) for each in Transparency().apply(taken, seen, 1, math.inf).opacity]
-
-
-def test_the_followed_actor_is_see_through_where_it_hides_another() -> None:
-    own, other = opacities(subject(), (6.0, 0, -0.7))
-    assert own == pytest.approx(0.4)
-    assert other == 1
-
-
 def test_opacity_changes_slowly() -> None:
     filmed = subject()
     x, y, z = filmed.ground.tolist()

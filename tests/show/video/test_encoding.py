@@ -67,25 +67,6 @@ def test_a_gif_has_the_frames_durations_and_colors(tmp_path: Path) -> None:
     assert list(accumulate(delays)) == [80, 170, 250, 330]  # ms: 12 frames per second, rounded to hundredths of a second
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
-def test_a_failure_leaves_no_file(tmp_path: Path, suffix: str) -> None:
-    def interrupted() -> None:
-        with create_video(tmp_path / f"out{suffix}", (320, 180), 30) as file:
-            file.add(picture(COLORS[0]))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert names_in(tmp_path) == []
-
-
-@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
-def test_a_missing_folder_is_an_error_of_one_line(tmp_path: Path, suffix: str) -> None:
-    with pytest.raises(RecapError, match=rf"nowhere/out{suffix}: cannot be written: No such file") as caught:
-        create_video(tmp_path / "nowhere" / f"out{suffix}", (320, 180), 30)
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such limits")
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, suffix: str) -> None:

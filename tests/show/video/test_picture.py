@@ -147,11 +147,6 @@ def test_invalid_destinations_are_errors(crossing: Recording, tmp_path: Path, na
     assert (tmp_path / "there.png").read_bytes() == b"before"
 
 
-def test_a_missing_folder_is_an_error(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
-    with pytest.raises(RecapError, match=r"nowhere/out\.png: cannot be written: No such file"):
-        snapshot(crossing, tmp_path / "nowhere" / "out.png", at=5, size=(64, 64))
-
-
 @pytest.mark.parametrize("package", ["PIL", "moderngl"])
 def test_without_a_package_the_error_names_the_extra(tmp_path: Path, package: str) -> None:
     (tmp_path / "hidden").mkdir()
