@@ -77,15 +77,8 @@ def pixel_rays(seen: Camera) -> NDArray[np.float64]:
 # --- depth and shape ----------------------------------------------------------------------------------------------------
 
 
-def test_depth_of_a_box_is_its_distance_along_the_view_axis(renderer: Renderer) -> None:
-    image = renderer.draw(camera(), boxes((11, 0, 2)), [DEPTH])[DEPTH]
-    assert metres(image)[60, 80] == pytest.approx(10, abs=0.01)
-    off_axis = renderer.draw(camera(), boxes((11, 6, 2)), [DEPTH])[DEPTH]
-    assert metres(off_axis)[60, 80 - 48] == pytest.approx(10, abs=0.01)
-
-
 def test_depth_of_the_ground_and_of_the_sky(renderer: Renderer) -> None:
-    seen = camera(pitch=-10)
+    seen = camera(pitch=-10, roll=20)
     depths = metres(renderer.draw(seen, None, [DEPTH])[DEPTH])
     rays = pixel_rays(seen)
     with np.errstate(divide="ignore"):
@@ -96,7 +89,7 @@ def test_depth_of_the_ground_and_of_the_sky(renderer: Renderer) -> None:
     assert (depths[rays[..., 2] > 0] == 1000).all()
 
 
-@pytest.mark.parametrize("distance", [2.0, 10.0, 60.0, 300.0])
+@pytest.mark.parametrize("distance", [2.0, 300.0])
 def test_a_box_fills_its_projection_within_a_pixel(renderer: Renderer, distance: float) -> None:
     seen = camera(width=640, height=480, fov=60)
     box = boxes((distance + 1, 0.3, 2.2), half=(1, 0.6, 0.5))
@@ -124,23 +117,6 @@ def test_the_nearer_of_two_boxes_is_seen(renderer: Renderer) -> None:
 
 
 # --- the axes of the camera ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("pitch", [-20.0, 0.0, 15.0])
-def test_the_horizon_is_level_and_at_its_row(renderer: Renderer, pitch: float) -> None:
-    seen = camera((0, 0, 0.5), pitch=pitch)
-    ground = renderer.draw(seen, None, [SEMANTIC])[SEMANTIC][..., 2] == Tag.ROADS
-    row = seen.height / 2 + seen.focal_length * np.tan(np.radians(pitch))
-    first = ground.argmax(axis=0)
-    assert np.ptp(first) == 0
-    assert first[0] == pytest.approx(row, abs=1)
-
-
-def test_roll_turns_the_horizon_clockwise_of_the_camera(renderer: Renderer) -> None:
-    ground = renderer.draw(camera(roll=20), None, [SEMANTIC])[SEMANTIC][..., 2] == Tag.ROADS
-    first = ground.argmax(axis=0)
-    slope = (first[-1] - first[0]) / (len(first) - 1)
-    assert slope == pytest.approx(-np.tan(np.radians(20)), abs=0.02)
 
 
 def test_angles_are_those_of_carla(renderer: Renderer) -> None:
@@ -250,12 +226,6 @@ def test_culled_tiles_and_instances_change_nothing(renderer: Renderer, monkeypat
     assert all((culled[kind] == whole[kind]).all() for kind in ALL)
 
 
-def test_actors_are_left_out_by_id(renderer: Renderer) -> None:
-    both = boxes((10, 0, 2), (20, 0, 2))
-    image = renderer.draw(camera(), both, [INSTANCE], without=[0x1234])[INSTANCE]
-    assert ids(image)[60, 80] == 0x1235
-
-
 def test_poses_that_are_not_finite_are_left_out(renderer: Renderer) -> None:
     several = boxes((10, 0, 2), (np.nan, 0, 2), (20, 0, 2), (np.inf, 1, 1))
     several.rotations[2] = np.nan
@@ -297,7 +267,7 @@ def test_what_can_be_seen_through_shows_what_is_behind(renderer: Renderer) -> No
     assert (images[RGB][..., 3] == 255).all()
 
 
-@pytest.mark.parametrize("height", [20, 60, 100])
+@pytest.mark.parametrize("height", [20, 100])
 def test_what_lies_on_a_mark_of_a_collision_is_seen_from_above(renderer: Renderer, height: float) -> None:
     ring = shape(cube(Material.COLLISION_MARK))
     body = boxes((0, 0, 0.2), half=(0.9, 0.3, 0.1))
@@ -411,12 +381,11 @@ def test_many_sizes_are_drawn_in_turn(renderer: Renderer) -> None:
         assert ids(image)[60, width // 2] == 0x1234
 
 
-@pytest.mark.parametrize("samples", [2, (1, 2), (3, 1)])
-def test_supersampling_smooths_the_rgb_image_alone(samples: int | tuple[int, int]) -> None:
+def test_supersampling_smooths_the_rgb_image_alone() -> None:
     seen, box = camera(roll=20), boxes((10, 0, 2))
     with create(supersampling=1) as other:
         plain = other.draw(seen, box, ALL)
-    with create(supersampling=samples) as other:
+    with create(supersampling=(3, 1)) as other:
         smooth = other.draw(seen, box, ALL)
     assert all((plain[kind] == smooth[kind]).all() for kind in ALL[1:])
     assert (plain[RGB] != smooth[RGB]).any()
@@ -469,8 +438,3 @@ def test_fog_hides_what_is_far_away(renderer: Renderer) -> None:
     clear, foggy = (renderer.draw(camera(), box, [RGB], Sky(fog=fog))[RGB][56, [80, 0]].astype(int) for fog in (0.0, 1.0))
     assert np.abs(clear[0] - clear[1]).max() > 60
     assert np.abs(foggy[0] - foggy[1]).max() < 12
-
-
-def test_night_is_darker_than_day(renderer: Renderer) -> None:
-    day, night = (renderer.draw(camera(), None, [RGB], Sky(sun_altitude=angle))[RGB].mean() for angle in (45, -45))
-    assert night < 0.6 * day

@@ -18,7 +18,6 @@ from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.rendering.building import TriangleGrid
 from carla_recap.rendering.town import TownMesh, build_town, load_town_of, town_mesh_of, town_of_map
 from carla_recap.roads import RoadMap
-from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.util import cache
@@ -52,10 +51,6 @@ def faces(town: TownMesh, *materials: Material) -> np.ndarray:
 def area(triangles: np.ndarray) -> float:
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return float(np.linalg.norm(across, axis=1).sum() / 2)
-
-
-def test_the_area_of_the_asphalt_is_that_of_the_lanes():
-    assert area(faces(built(road()), Material.ROAD)) == pytest.approx(100 * 7, rel=1e-4)
 
 
 def test_a_bend_has_the_area_of_a_ring():
@@ -97,14 +92,6 @@ def test_the_same_map_gives_the_same_bytes():
     (first, _), (second, _) = build_town(text), build_town(text)
     for one, other in zip(first, second, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(vars(one).values(), vars(other).values(), strict=True))
-
-
-def test_a_town_is_made_once_in_a_child_process():
-    text = opendrive(road())
-    town = town_mesh_of(text, "small")
-    assert town.name == "small"
-    assert len(town.bounds) == len(town.tiles) > 1
-    assert town_mesh_of(text, "small") is town
 
 
 @pytest.mark.parametrize("text", ["", "no map", "<html/>", opendrive()])
@@ -261,13 +248,6 @@ def test_hostile_maps_end_soon(roads: list[str]):
     assert time.process_time() - start < 20
 
 
-def test_a_spiral_turns_by_half_the_sum_of_its_curvatures():
-    (line,) = read_opendrive(opendrive(road(length=40, shape='<spiral curvStart="0" curvEnd="0.05"/>'))).roads
-    points, headings = line.reference(np.linspace(0, 40, 401))
-    assert headings[-1] == pytest.approx(1.0)
-    assert np.linalg.norm(np.diff(points, axis=0), axis=1) == pytest.approx(0.1, rel=1e-3)
-
-
 def test_a_town_is_made_once_and_read_from_the_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     made = []
     make = town_module.build_town
@@ -282,8 +262,10 @@ def test_a_town_is_made_once_and_read_from_the_cache(monkeypatch: pytest.MonkeyP
     meshes = []
     for _ in range(2):
         monkeypatch.setattr(town_module, "_towns", type(town_module._towns)())
-        meshes.append(town_mesh_of(text))
+        meshes.append(town_mesh_of(text, "small"))
     assert len(made) == 1
+    assert town_mesh_of(text, "small") is meshes[1]
+    assert meshes[1].name == "small"
     assert [len(tile.triangles) for tile in meshes[0].tiles] == [len(tile.triangles) for tile in meshes[1].tiles]
     (entry,) = tmp_path.iterdir()
     entry.write_bytes(entry.read_bytes()[:-1])
@@ -347,7 +329,7 @@ def test_the_line_between_two_roads_of_a_junction_is_drawn_once():
     assert area(faces(town, Material.WHITE_LINE)) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
 
 
-@pytest.mark.parametrize("name", ["Town01", "Town02", "Town10HD"])
+@pytest.mark.parametrize("name", ["Town01", "Town10HD"])
 def test_the_lanes_of_carlas_towns_have_road_beneath_them_and_lines_upon_them(name: str):
     carla = pytest.importorskip("carla", reason="the extra carla is not installed")
     text = carla_town(name).read_text()
