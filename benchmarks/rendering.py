@@ -78,13 +78,13 @@ def drawing_process(_: Subject) -> Iterator[Line]:
 
 def crowded_town() -> tuple[Any, Any, Any]:
     """Return the mesh of a town, actors in it, and CARLA's poses of these."""
-    from carla_recap.rendering.town import load_town_mesh
     from carla_recap.replay.pose import right_handed
     from carla_recap.roads.drawing import load_map
     from carla_recap.roads.find import find_map
     from carla_recap.scene.actor_instances import instances
     from carla_recap.scene.appearance import look_of
     from carla_recap.scene.description import LookColumns
+    from carla_recap.town.mesh import load_town_mesh
 
     path = TOWN if TOWN.exists() else find_map("Brickfield")
     assert path is not None

@@ -326,8 +326,8 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     from carla_recap.errors import RecapError
     from carla_recap.fleet.pages import opening_of
     from carla_recap.recording import open_recording
-    from carla_recap.rendering.town import load_town_of
     from carla_recap.show.page import write_report
+    from carla_recap.town.mesh import load_town_of
     from carla_recap.util.files import make_folder
 
     kept, kept_page = _kept(config, name)

@@ -210,7 +210,7 @@ def test_maps_need_no_library_of_carla(tmp_path):
     code = "import sys; sys.modules['carla'] = None\n" + "\n".join(
         (
             "from carla_recap import load_map",
-            "from carla_recap.rendering.town import load_town_mesh",
+            "from carla_recap.town.mesh import load_town_mesh",
             "from carla_recap.roads import find_map",
             "from carla_recap.sim.town.loading import load_town",
             "path = find_map('Brickfield')",

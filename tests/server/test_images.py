@@ -14,7 +14,6 @@ import pytest
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.town import TownMesh
 from carla_recap.scene.materials import Material, Tag
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
@@ -25,6 +24,7 @@ from carla_recap.server.sensors.surfaces import TownSurfaces
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.world import World
+from carla_recap.town.mesh import TownMesh
 from tests.server.inside import client_inside
 from tests.server.listening import sensor, vehicle
 from tests.sim.flat import at, flat_town, flat_world

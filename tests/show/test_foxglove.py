@@ -15,10 +15,10 @@ from mcap.reader import make_reader
 
 from carla_recap import NotARecording, RecapWarning, Spawn, open_recording
 from carla_recap.model.records import UE4, ActorKind
-from carla_recap.rendering.town import town_mesh_of
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.foxglove import export_foxglove, layout_files
+from carla_recap.town.mesh import town_mesh_of
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import ROOT, carla_log
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
     from carla_recap.recording import Recording
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.roads import RoadMap
+    from carla_recap.town.mesh import TownMesh
 
 MOMENT: Final = 1e-3
 """The seconds of a recording that a picture shows."""
@@ -125,7 +125,7 @@ def road_map_of(recording: Recording, path: str | None, start: float = 0.0, dura
 
 def town_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> TownMesh | None:
     """Return a recording's town as a mesh; see `road_map_of`."""
-    from carla_recap.rendering.town import load_town_of
+    from carla_recap.town.mesh import load_town_of
 
     return load_town_of(recording, path, start, duration)
 

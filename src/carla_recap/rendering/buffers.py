@@ -31,7 +31,7 @@ _IN_FRONT: Final = 0.12  # m, of the lamp
 
 
 class TiledMesh(Protocol):
-    """What is drawn of a town: `carla_recap.rendering.town.TownMesh`."""
+    """What is drawn of a town: `carla_recap.town.mesh.TownMesh`."""
 
     @property
     def tiles(self) -> Sequence[Mesh]:

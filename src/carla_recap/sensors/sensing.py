@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorName
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
     from carla_recap.sensors.carrier_motion import Motion
     from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig, SensorSpec
+    from carla_recap.town.mesh import TownMesh
     from carla_recap.util.arrays import Floats
 
 
@@ -199,7 +199,7 @@ class _Town:
 
     def _surroundings(self) -> _Surroundings:
         if self._found is None:
-            from carla_recap.rendering.town import load_town_mesh, town_of_map
+            from carla_recap.town.mesh import load_town_mesh, town_of_map
 
             def load(path: Path) -> _Surroundings:
                 return _Surroundings(load_town_mesh(path), lambda: read_text(path), is_map=True)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carla_recap.rendering.town import TownMesh, load_town_mesh
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.show.page.base_map import LAYERS, base_map, outlines
+from carla_recap.town.mesh import TownMesh, load_town_mesh
 from tests.show.page.conftest import CROSSING, sampled
 
 BRICKFIELD = Path(__file__).parents[3] / "src" / "carla_recap" / "sim" / "towns" / "Brickfield.xodr"

@@ -8,8 +8,8 @@ import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from carla_recap.rendering.town import load_town_of
 from carla_recap.show.page import Opening, samples, write_report
+from carla_recap.town.mesh import load_town_of
 from tests.replay.scripts import pose, spawn
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
 

@@ -9,9 +9,9 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.rendering.town import TownMesh
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
+from carla_recap.town.mesh import TownMesh
 from tests.samples import SAMPLES
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from PIL import Image
 
 from carla_recap import ActorKind, Spawn, attributes, open_recording
 from carla_recap.errors import RecapError
-from carla_recap.rendering.town import load_town_mesh
 from carla_recap.roads import find_map
 from carla_recap.show.video import picture, snapshot
+from carla_recap.town.mesh import load_town_mesh
 from tests.cli.command import COMMAND, ENVIRONMENT, before_others, the_line
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in

@@ -17,9 +17,9 @@ from PIL import Image
 
 from carla_recap import Player, create_recording, open_recording
 from carla_recap.errors import RecapError
-from carla_recap.rendering.town import load_town_of
 from carla_recap.show.video import export_video
 from carla_recap.show.video.film import Film
+from carla_recap.town.mesh import load_town_of
 from tests.cli.command import COMMAND, ENVIRONMENT, error, run
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import names_in

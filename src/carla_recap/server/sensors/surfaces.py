@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from carla_recap.rendering.camera import ImageKind, Quality
     from carla_recap.rendering.rays import RayScene
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.scene.instances import Instances
     from carla_recap.server.sensors.images import View
     from carla_recap.sim.town.loading import Town
+    from carla_recap.town.mesh import TownMesh
 
 T = TypeVar("T")
 
@@ -135,7 +135,7 @@ def _in_thread(function: Callable[..., T], *arguments: Any) -> Future[T]:
 
 
 def _load(town: Town) -> TownMesh:
-    from carla_recap.rendering.town import TownMesh, town_mesh_of
+    from carla_recap.town.mesh import TownMesh, town_mesh_of
 
     return town_mesh_of(town.opendrive, town.name) if town.opendrive else TownMesh.of_tiles(town.name, [])
 

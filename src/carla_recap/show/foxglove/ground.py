@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.rendering.town import town_of_map
 from carla_recap.replay.recorded_map import corridors_of, map_around
 from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.mesh import Mesh
@@ -18,16 +17,17 @@ from carla_recap.scene.models import INDEX, MODELS
 from carla_recap.show.foxglove import shapes
 from carla_recap.show.foxglove.bodies import TIMESTAMP
 from carla_recap.show.foxglove.messages import ALL_DELETED, WORLD, MessagePart, SceneEntity, SceneUpdate, single
+from carla_recap.town.mesh import town_of_map
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.recording import Recording
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Player
     from carla_recap.roads import RoadMap
     from carla_recap.scene.description import SceneDescription
     from carla_recap.show.foxglove.messages import Stamps, TopicMessages
+    from carla_recap.town.mesh import TownMesh
     from carla_recap.util.arrays import Floats
 
 MAP: Final = "/map"

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.verdicts import Verdict
     from carla_recap.recording import Recording
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Player
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import SceneBatch
@@ -46,6 +45,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.lanes import StateLane
     from carla_recap.show.foxglove.messages import Times, TopicMessages
+    from carla_recap.town.mesh import TownMesh
     from carla_recap.util.arrays import Floats, Indices
 
 LOG: Final = "/log"

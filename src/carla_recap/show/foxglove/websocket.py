@@ -20,7 +20,6 @@ import numpy as np
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.mcap.schema import SECOND, LogClock
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Player
 from carla_recap.replay.follow import HERO
 from carla_recap.roads.surfaces import road_network_of_map
@@ -40,6 +39,7 @@ from carla_recap.show.foxglove.topics import (
     incident_messages,
     passed_topics,
 )
+from carla_recap.town.mesh import town_of_map
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:

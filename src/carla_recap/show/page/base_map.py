@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.rendering.town import TOWN_SOURCES
 from carla_recap.roads.corridors import fresh_parts
 from carla_recap.roads.polylines import simplify
 from carla_recap.scene.materials import Material
+from carla_recap.town.mesh import TOWN_SOURCES
 from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.scene.mesh import Mesh
     from carla_recap.show.page.samples import SampledReplay
+    from carla_recap.town.mesh import TownMesh
     from carla_recap.util.arrays import Floats, Integers
 
 

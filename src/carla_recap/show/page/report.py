@@ -17,7 +17,6 @@ from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
-from carla_recap.rendering.town import load_town_of, town_of_map
 from carla_recap.replay.player import Player
 from carla_recap.roads.find import map_key
 from carla_recap.roads.surfaces import road_network_of_map
@@ -28,6 +27,7 @@ from carla_recap.show.page.base_map import base_map
 from carla_recap.show.page.images import PageImages, camera_of, page_images
 from carla_recap.show.page.samples import measure, sample
 from carla_recap.show.page.script import Packer, data_address, single_page
+from carla_recap.town.mesh import load_town_of, town_of_map
 from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
 from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import readable
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.queries.differences import Differences
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
+    from carla_recap.town.mesh import TownMesh
 
 Pictures = Literal["drawn", "rendered", "none"]
 """The pictures of incidents: drawn from above, rendered from behind the first actor, or none."""

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.roads import RoadMap
     from carla_recap.show.rerun.stream import PoseBlock, Stream
+    from carla_recap.town.mesh import TownMesh
     from carla_recap.util.arrays import Floats
 
 

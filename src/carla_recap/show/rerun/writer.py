@@ -13,7 +13,6 @@ from carla_recap.formats.sources import unsigned
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.sensors import sensors
-from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Played, Player
 from carla_recap.replay.follow import HERO
 from carla_recap.replay.pose import LOCATION
@@ -32,6 +31,7 @@ from carla_recap.show.rerun.sinks import send_blueprint
 from carla_recap.show.rerun.stream import Stream, TimeColumns
 from carla_recap.show.rerun.surroundings import ground_below, write_ground, write_map, write_sky, write_town
 from carla_recap.show.rerun.timeline import EventWriter, TrafficLightWriter
+from carla_recap.town.mesh import town_of_map
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

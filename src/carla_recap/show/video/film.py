@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera, Images
     from carla_recap.rendering.process import RenderProcess
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow, Player, Scene
     from carla_recap.scene.falls import RecordedContacts
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances
     from carla_recap.show.video.camera_paths import Subject, VideoView
     from carla_recap.show.video.encoding import Picture, Size
+    from carla_recap.town.mesh import TownMesh
 
     Town = TownMesh | Callable[[], TownMesh | None]
     Progress = Callable[[Iterable[Scene], Player], Iterable[Scene]]
@@ -258,7 +258,7 @@ def opened_renderer(
 
 def _make_renderer(town: Town | None, source: str, start: float, stop: float, supersampling: int) -> RenderProcess:
     from carla_recap.rendering.process import RenderProcess
-    from carla_recap.rendering.town import load_town_of
+    from carla_recap.town.mesh import load_town_of
 
     mesh = town() if callable(town) else town
     if mesh is None:

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import carla_recap
-import carla_recap.rendering.town as town_module
+import carla_recap.town.mesh as town_module
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.records import ActorKind, Spawn
-from carla_recap.rendering.building import TriangleGrid
-from carla_recap.rendering.town import TownMesh, build_town, load_town_of, town_mesh_of, town_of_map
 from carla_recap.roads import RoadMap
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
+from carla_recap.town.building import TriangleGrid
+from carla_recap.town.mesh import TownMesh, build_town, load_town_of, town_mesh_of, town_of_map
 from carla_recap.util import cache
 from tests.roads.towns import crossing, crossing_by_road, lane, opendrive, painted_stop, road, stop_sign
 from tests.roads.towns import section as plain_section
@@ -278,7 +278,7 @@ def test_a_town_in_the_cache_is_made_again_when_materials_are_swapped(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     package = tmp_path / "package"
-    for folder in ("rendering", "roads", "scene", "util"):
+    for folder in ("town", "roads", "scene", "util"):
         shutil.copytree(Path(cache.__file__).parents[1] / folder, package / folder)
     monkeypatch.setattr(cache, "__file__", str(package / "util" / "cache.py"))
     monkeypatch.setenv(cache.FOLDER, str(tmp_path / "cache"))

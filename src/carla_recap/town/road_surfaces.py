@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.rendering.building import UP, TriangleGrid
 from carla_recap.roads.cells import LARGEST_GAP, NO_AREA, find_areas
 from carla_recap.roads.opendrive import borders_at, limit_lanes, sparse_sections
 from carla_recap.scene.materials import Material
+from carla_recap.town.building import UP, TriangleGrid
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from carla_recap.rendering.building import MeshBuilder
     from carla_recap.roads.cells import Areas
     from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, SparseSection
+    from carla_recap.town.building import MeshBuilder
     from carla_recap.util.arrays import Booleans, Floats
 
 

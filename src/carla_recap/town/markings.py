@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.rendering.building import UP
-from carla_recap.rendering.road_surfaces import PAVED
 from carla_recap.roads.stop_lines import drawn_stop_lines
 from carla_recap.scene.materials import Material
+from carla_recap.town.building import UP
+from carla_recap.town.road_surfaces import PAVED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.building import MeshBuilder, TriangleGrid
-    from carla_recap.rendering.road_surfaces import SampledSection
     from carla_recap.roads.opendrive import Marking, Road, RoadObject
+    from carla_recap.town.building import MeshBuilder, TriangleGrid
+    from carla_recap.town.road_surfaces import SampledSection
     from carla_recap.util.arrays import Booleans, Floats
 
 

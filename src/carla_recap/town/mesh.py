@@ -16,11 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import FormatError, RecapError, RecapWarning
-from carla_recap.rendering.building import MeshBuilder, TriangleGrid
-from carla_recap.rendering.markings import Painter, add_lines, paint_objects, paint_stops
-from carla_recap.rendering.road_surfaces import PAVED, add_lanes, driving_grid, fill_junctions, sample_roads, surface_grid
-from carla_recap.rendering.roadside import LightPost, add_barriers, add_signs, add_trees, light_posts
-from carla_recap.rendering.terrain import Terrain, add_edges
 from carla_recap.replay.recorded_map import LONGEST_DRIVEN, load_map_of
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import content_digest, expecting, read_parts
@@ -28,6 +23,11 @@ from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
+from carla_recap.town.building import MeshBuilder, TriangleGrid
+from carla_recap.town.markings import Painter, add_lines, paint_objects, paint_stops
+from carla_recap.town.road_surfaces import PAVED, add_lanes, driving_grid, fill_junctions, sample_roads, surface_grid
+from carla_recap.town.roadside import LightPost, add_barriers, add_signs, add_trees, light_posts
+from carla_recap.town.terrain import Terrain, add_edges
 from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 _KEPT: Final = 4  # towns in memory
-TOWN_SOURCES: Final = ("rendering", "roads", "scene")  # the folders of the modules that a town is made by
+TOWN_SOURCES: Final = ("town", "roads", "scene")  # the folders of the modules that a town is made by
 _PAVEMENT: Final = (*PAVED, Material.JUNCTION)
 _SURFACES: Final = (*_PAVEMENT, Material.SIDEWALK, Material.KERB, Material.MEDIAN, Material.GROUND)
 _GROUND: Final = (*_SURFACES, Material.GRASS)

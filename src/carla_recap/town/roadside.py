@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.rendering.building import UP
-from carla_recap.rendering.markings import glyphs
-from carla_recap.rendering.road_surfaces import KERB_HEIGHT
 from carla_recap.roads.barriers import barriers, left_handed
 from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, YIELD
 from carla_recap.scene.materials import Material
+from carla_recap.town.building import UP
+from carla_recap.town.markings import glyphs
+from carla_recap.town.road_surfaces import KERB_HEIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.building import MeshBuilder, TriangleGrid
-    from carla_recap.rendering.road_surfaces import SampledSection
-    from carla_recap.rendering.terrain import Terrain
     from carla_recap.roads.lanes import LaneGeometry
     from carla_recap.roads.opendrive import Road
+    from carla_recap.town.building import MeshBuilder, TriangleGrid
+    from carla_recap.town.road_surfaces import SampledSection
+    from carla_recap.town.terrain import Terrain
     from carla_recap.util.arrays import Floats, Integers
 
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.rendering.building import TILE, UP
-from carla_recap.rendering.road_surfaces import KERB_HEIGHT
 from carla_recap.scene.materials import Material
+from carla_recap.town.building import TILE, UP
+from carla_recap.town.road_surfaces import KERB_HEIGHT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from carla_recap.rendering.building import MeshBuilder, TriangleGrid
-    from carla_recap.rendering.road_surfaces import SampledSection
+    from carla_recap.town.building import MeshBuilder, TriangleGrid
+    from carla_recap.town.road_surfaces import SampledSection
     from carla_recap.util.arrays import Booleans, Floats
 
 
