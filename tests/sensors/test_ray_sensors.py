@@ -11,7 +11,7 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import MissingExtra, RecapWarning
-from carla_recap.sensors.ray_process import Moment, RayProcess, Setup
+from carla_recap.sensors.ray_process import RayMoment, RayProcess, RaySetup
 from carla_recap.sensors.ray_sensors import RaySensors
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.util.child import ChildEnded
@@ -33,16 +33,16 @@ RIG = SensorRig.of(
 STILL = np.zeros(3)
 
 
-def moment() -> Moment:
+def moment() -> RayMoment:
     """Return a moment 2 m above a plane, with two boxes ahead."""
     pose = np.array((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
     due = [(spec.id, pose) for spec in RIG]
-    return Moment(due, 0.05, BOXES, BOXES.ids, np.zeros((len(BOXES), 3)), STILL)
+    return RayMoment(due, 0.05, BOXES, BOXES.ids, np.zeros((len(BOXES), 3)), STILL)
 
 
 def measured(count: int = 3) -> list[dict[str, bytes]]:
     """Return what the sensors measure in this process at some moments."""
-    sensors = RaySensors(Setup(PLANE.tiles, (), tuple(RIG)))
+    sensors = RaySensors(RaySetup(PLANE.tiles, (), tuple(RIG)))
     return [{id: points.tobytes() for id, points in sensors.begin(moment())()[0].items()} for _ in range(count)]
 
 

@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.rendering.camera import Images
-    from carla_recap.rendering.process import Moment, Setup
+    from carla_recap.rendering.process import DrawingSetup, DrawnMoment
 
 
-def _prepare(setup: Setup) -> Callable[[Moment], Callable[[], list[Images]]]:
+def _prepare(setup: DrawingSetup) -> Callable[[DrawnMoment], Callable[[], list[Images]]]:
     """Return what returns what draws a moment."""
     models = MODELS if setup.loads_models else Models()
     for model in setup.models:
         models.append(model)  # type: ignore[arg-type]  # which has all that is drawn
     renderer = Renderer(setup.town, models=models, quality=setup.quality, supersampling=setup.supersampling)
 
-    def draw(moment: Moment) -> list[Images]:
+    def draw(moment: DrawnMoment) -> list[Images]:
         return [
             renderer.draw(view.camera, moment.instances, view.kinds, moment.sky, view.previous, without=view.without)
             for view in moment.views

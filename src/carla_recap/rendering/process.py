@@ -63,7 +63,7 @@ class Tiles:
         self.tiles = list(town.tiles) if town is not None else []
 
 
-class Setup(NamedTuple):
+class DrawingSetup(NamedTuple):
     """The first request to the process: the arguments of the renderer."""
 
     town: Tiles
@@ -73,7 +73,7 @@ class Setup(NamedTuple):
     supersampling: int | tuple[int, int] | None
 
 
-class Moment(NamedTuple):
+class DrawnMoment(NamedTuple):
     """What is to be drawn of a moment."""
 
     views: Sequence[DrawnView]
@@ -85,7 +85,7 @@ class _Job(NamedTuple):
     """Pictures to come, by view, and what is to be drawn."""
 
     future: Future[list[Images]]
-    moment: Moment
+    moment: DrawnMoment
 
 
 class RenderProcessNotStarted(ChildEnded):
@@ -118,9 +118,9 @@ class RenderProcess:
         check_quality(quality)
 
         @cache
-        def setup() -> Setup:
+        def setup() -> DrawingSetup:
             shapes = own_shapes() if models is None else [Shape.of(model) for model in models]
-            return Setup(Tiles(town() if callable(town) else town), models is None, shapes, quality, supersampling)
+            return DrawingSetup(Tiles(town() if callable(town) else town), models is None, shapes, quality, supersampling)
 
         self._setup = setup
         self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
@@ -159,7 +159,7 @@ class RenderProcess:
             if self._is_closed:
                 future.set_exception(RecapError("the renderer is closed"))
             else:
-                self._jobs.put(_Job(future, Moment(views, instances, sky)))
+                self._jobs.put(_Job(future, DrawnMoment(views, instances, sky)))
         return future
 
     def draw(self, view: DrawnView, instances: Instances | None = None, sky: Sky | None = None) -> Images:
@@ -216,7 +216,7 @@ class RenderProcess:
         if self._child is not None:
             self._child.close()
 
-    def _send(self, future: Future[list[Images]], moment: Moment) -> bool:
+    def _send(self, future: Future[list[Images]], moment: DrawnMoment) -> bool:
         """Have a picture drawn; return false if it will not be."""
         if self._is_closed:
             if not future.cancel():

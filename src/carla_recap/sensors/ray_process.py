@@ -35,7 +35,7 @@ def processes_for(rig: Iterable[SensorSpec]) -> list[tuple[str, str, int]]:
     return [DRAWING] * ("camera" in kinds) + [RAYS] * (not kinds.isdisjoint(RAY_KINDS))
 
 
-class Setup(NamedTuple):
+class RaySetup(NamedTuple):
     """The first request to the process: what the rays meet, and the sensors."""
 
     tiles: Sequence[Mesh]
@@ -43,7 +43,7 @@ class Setup(NamedTuple):
     specs: Sequence[SensorSpec]
 
 
-class Moment(NamedTuple):
+class RayMoment(NamedTuple):
     """What rays are cast in, and for which sensors."""
 
     due: Sequence[tuple[str, Floats]]  # the ids of sensors, and their poses in m and degrees, right-handed
@@ -59,7 +59,7 @@ class RayProcess:
 
     def __init__(self, tiles: Sequence[Mesh], specs: Sequence[SensorSpec]) -> None:
         self._child = new_child(*RAYS)
-        self._child.send(Setup(tiles, own_shapes(), specs))
+        self._child.send(RaySetup(tiles, own_shapes(), specs))
 
     @property
     def pid(self) -> int:
@@ -75,7 +75,7 @@ class RayProcess:
         """
         self._child.receive()
 
-    def begin(self, moment: Moment) -> None:
+    def begin(self, moment: RayMoment) -> None:
         """Have the rays of a moment cast."""
         self._child.send(moment)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.scene.instances import Instances
-    from carla_recap.sensors.ray_process import Moment, Points, Setup
+    from carla_recap.sensors.ray_process import Points, RayMoment, RaySetup
     from carla_recap.sensors.rig import SensorSpec
     from carla_recap.util.arrays import Floats
 
@@ -41,7 +41,7 @@ _MOST_THREADS: Final = 3  # that cast rays; more wait for Python's lock
 class RaySensors:
     """The lidars and radars of a rig. Moments come in order of time."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: RaySetup) -> None:
         for model in setup.models:
             MODELS.append(model)  # type: ignore[arg-type]  # which has all that rays meet
         self._scene = RayScene(setup.tiles, MODELS)
@@ -49,7 +49,7 @@ class RaySensors:
         self._sensors = {spec.id: _SENSORS[spec.kind](spec, self._said.append) for spec in setup.specs}
         self._threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-rays")
 
-    def begin(self, moment: Moment) -> Callable[[], tuple[Points, list[str]]]:
+    def begin(self, moment: RayMoment) -> Callable[[], tuple[Points, list[str]]]:
         """Begin to cast the rays of a moment; return what waits for what sensors measure, by their ids, and warnings."""
         begun = []
         for id, pose in moment.due:
@@ -87,12 +87,12 @@ class _RaySensor(ABC):
         self._interval = spec.number("sensor_tick")
         self.reach = spec.number("range")
 
-    def rays(self, moment: Moment) -> Floats:
+    def rays(self, moment: RayMoment) -> Floats:
         """Return the directions of the rays in its axes, CARLA's, (n, 3)."""
         return self.beams.rays(min(max(moment.step, self._interval), _LONGEST))
 
     @abstractmethod
-    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+    def measure(self, moment: RayMoment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         """Return what it measures."""
 
 
@@ -110,7 +110,7 @@ class _Lidar(_RaySensor):
         super().__init__(spec, warn)
         self.beams, self._returns = LidarBeams(spec.number, self._warn), LidarReturns(spec.number)
 
-    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+    def measure(self, moment: RayMoment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         hits, intensity = self._returns.of(hits)
         points = _points(hits, directions, POINT)
         points["intensity"] = intensity
@@ -122,7 +122,7 @@ class _SemanticLidar(_RaySensor):
         super().__init__(spec, warn)
         self.beams = LidarBeams(spec.number, self._warn)
 
-    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+    def measure(self, moment: RayMoment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         points = _points(hits, directions, SEMANTIC_POINT)
         points["cosine"], points["actor"], points["tag"] = hits.cosine, hits.actor, hits.tag
         return points
@@ -133,7 +133,7 @@ class _Radar(_RaySensor):
         super().__init__(spec, warn)
         self.beams = RadarBeams(spec.number, self._warn)
 
-    def measure(self, moment: Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+    def measure(self, moment: RayMoment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         ids, velocities = moment.ids, moment.velocities
         rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
         assert moment.velocity is not None

@@ -34,8 +34,7 @@ from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
 from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, acceleration_at, geo_reference
-from carla_recap.sensors.ray_process import RAY_KINDS, RayProcess, processes_for
-from carla_recap.sensors.ray_process import Moment as RayMoment
+from carla_recap.sensors.ray_process import RAY_KINDS, RayMoment, RayProcess, processes_for
 from carla_recap.util.child import started_ahead
 
 if TYPE_CHECKING:
