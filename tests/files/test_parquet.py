@@ -50,20 +50,6 @@ def test_each_record_type_has_a_file(tmp_path: Path, small: Path) -> None:
                 check_equal(parquet.read_table(file), recording.table(name).to_arrow())
 
 
-def test_missing_record_types_have_no_file(exported: Path) -> None:
-    names = set(names_in(exported))
-    assert {"transforms.parquet", "spawned.parquet", "frame.parquet"} < names
-    assert not {"weather.parquet", "walker_bones.parquet", "frame_end.parquet"} & names
-
-
-def test_columns_have_their_units(exported: Path) -> None:
-    schema = parquet.read_schema(exported / "transforms.parquet")
-    units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schema}
-    place, angles = dict.fromkeys("xyz", "cm"), dict.fromkeys(("roll", "pitch", "yaw"), "deg")
-    assert units == {"frame": "", "time": "s", "id": "", **place, **angles}
-    assert parquet.read_schema(exported / "incidents.parquet").field("x").metadata[b"unit"] == b"m"
-
-
 def test_the_files_of_queries_contain_their_results(exported: Path) -> None:
     with open_recording(CROSSING) as recording:
         hits = parquet.read_table(exported / "collisions.parquet").to_pylist()

@@ -92,19 +92,6 @@ def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
     assert not runs(pid)
 
 
-def test_an_interruption_ends_the_viewer(crossing_rrd, temporary):
-    pids = []
-
-    def interrupted() -> None:
-        with ScreenshotTaker(crossing_rrd) as screenshots:
-            pids.append(screenshots._process.pid)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not runs(*pids)
-
-
 WAITING = """
 import sys, time
 from tests.screenshots import ScreenshotTaker

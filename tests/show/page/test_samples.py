@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.replay import Player, right_handed
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.page.samples import BLOCK, measure, sample
@@ -18,18 +17,6 @@ from tests.show.page.conftest import CROSSING, record, sampled, unpack
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-
-def test_poses_are_those_of_the_recording() -> None:
-    replay = sampled(CROSSING)
-    with open_recording(CROSSING) as recording:
-        player = Player(recording)
-        for time in (0.0, 8.3, 20.9, 24.6, 40.0, 53.0):
-            scene, poses = player.at(time), replay.poses(time)
-            found = {replay.actors[actor].id: pose for actor, pose in poses.items()}
-            for id, pose in zip(scene.ids.tolist(), right_handed(scene.poses), strict=True):
-                assert found[id][:2] == pytest.approx(pose[:2], abs=0.011), (time, id)
-                assert abs((found[id][2] - pose[5] + 180) % 360 - 180) < 0.21
 
 
 def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:
