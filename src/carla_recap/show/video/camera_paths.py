@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -90,15 +90,8 @@ def number_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-class CameraPath(Protocol):
-    """The path of a camera."""
-
-    def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
-        """Return the camera in a scene; scenes come in order."""
-
-
-def camera_path(view: VideoView, size: Size) -> CameraPath:
-    """Return the path of the camera of a view, for pictures of a size."""
+def camera_path(view: VideoView, size: Size) -> _ChasePath | _TopPath | _DriverPath | _RecordedPath:
+    """Return the path of the camera of a view, for pictures of a size; its `camera` gets the scenes in order."""
     if isinstance(view, int):
         return _RecordedPath(view, size)
     if view == "driver":

@@ -6,7 +6,7 @@ from contextlib import suppress
 from fractions import Fraction
 from importlib import import_module
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.util.files import AtomicFile
@@ -14,7 +14,6 @@ from carla_recap.util.files import AtomicFile
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from types import TracebackType
 
     import numpy as np
     from numpy.typing import NDArray
@@ -48,19 +47,6 @@ _ACCENTS: Final = (
     *((235, 64, 52), (150, 45, 40), (245, 166, 66), (245, 200, 40), (70, 210, 110), (120, 186, 255), (150, 170, 255)),
 )
 """Colours of what is written on pictures, of which there are few pixels."""
-
-
-class VideoFile(Protocol):
-    """A video that is written."""
-
-    def add(self, picture: Picture) -> None:
-        """Add a picture: blue, green, red, alpha, (height, width, 4)."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 def check_video(path: Path, size: Size, rate: float, frames: int) -> None:
@@ -104,7 +90,7 @@ def check_size(size: Size) -> None:
         raise RecapError(f"{width} x {height}: the sides of a picture are from {SMALLEST} to {LARGEST} pixels")
 
 
-def create_video(path: Path, size: Size, rate: float, samples: Sequence[Picture] = (), *, force: bool = True) -> VideoFile:
+def create_video(path: Path, size: Size, rate: float, samples: Sequence[Picture] = (), *, force: bool = True) -> _Mp4 | _Gif:
     """Create a video; its suffix determines the format.
 
     Args:
