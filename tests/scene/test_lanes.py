@@ -18,12 +18,13 @@ def stop(start: float, end: float, actor: int) -> Incident:
 
 
 def test_a_lane_of_incidents_says_to_whom_they_happen() -> None:
-    found = [stop(9.0, 10.2, 7), stop(10.1, 10.15, 5), stop(10.1, 10.1, 7), stop(8.0, 9.0, 3), stop(11.0, 12.0, 4)]
+    found = [stop(9.0, 10.2, 7), stop(10.1, 10.15, 5), stop(10.1, 10.1, 7), stop(8.0, 9.0, 3), stop(10.4, 12.0, 5)]
     (lane,) = incident_lanes(found, ELAPSED)
     assert (lane.name, lane.states) == (
         "blocked",
-        [(0, "long stop: 7"), (1, "long stop: 5, 7"), (2, "long stop: 7"), (3, "none")],
+        [(0, "long stop: 7"), (1, "long stop: 5, 7"), (2, "long stop: 7"), (3, "none"), (4, "long stop: 5")],
     )
+    assert incident_lanes([stop(11.0, 12.0, 4)], ELAPSED) == []
 
 
 @pytest.mark.parametrize(
