@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import warnings
 from contextlib import closing
 
 import pytest
@@ -145,17 +144,6 @@ def test_a_file_that_is_cut_anywhere_has_what_was_before(killed, tmp_path):
     assert counts == sorted(counts)
     assert len(set(counts)) == 5
     assert max(counts) == 400
-
-
-@pytest.mark.parametrize("place", [0.2, 0.5, 0.8])
-def test_a_recovered_file_has_frames_and_messages_up_to_the_same_seconds(killed, tmp_path, place):
-    data = killed.read_bytes()
-    save(tmp_path / "cut.mcap", data[: int(len(data) * place)])
-    with warnings.catch_warnings(action="ignore", category=RecapWarning):
-        recovery = recover(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
-    with open_recording(tmp_path / "saved.mcap") as recording:
-        last = recording.sensors[0].last or 0.0
-    assert abs(last - recovery.duration) <= 5.1
 
 
 def test_what_is_declared_in_chunks_as_other_programs_do_is_recovered_without_a_summary(run, tmp_path):

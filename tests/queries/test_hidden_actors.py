@@ -59,11 +59,6 @@ def test_a_car_below_the_road_is_not_off_the_road(recording):
     assert found.time > SHOWN - TICK
 
 
-def test_a_car_below_the_road_breaks_no_rule_about_stops(recording):
-    (found,) = check(recording, parse_rules('[rules.it]\nblocked = { max = "5 s" }', "rules.toml"))
-    assert found.status == "pass"
-
-
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
 @pytest.mark.parametrize(("shown", "count"), [(False, 1), (True, 2)])
 def test_a_car_counts_for_rules_if_it_is_ever_on_the_road(tmp_path, suffix, shown, count):

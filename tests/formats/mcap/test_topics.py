@@ -56,17 +56,6 @@ def chunk_topics(path):
 # --- writing -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("live", [False, True])
-def test_the_state_is_written_as_without_further_topics(tmp_path, live):
-    sensed(tmp_path / "sensed.mcap", live=live)
-    with McapWriter(tmp_path / "plain.mcap", HEADER, live=live) as writer:
-        for frame in drive(10.0):
-            writer.write(frame)
-    further = {"/sensors/front/image", "/sensors/imu/imu", "/note"}
-    own = [chunk.data for chunk, topics in chunk_topics(tmp_path / "sensed.mcap") if not topics & further]
-    assert own == [chunk.data for chunk, _ in chunk_topics(tmp_path / "plain.mcap")]
-
-
 def grouped(path, *chunks):
     """Return the groups of the topics of a file without content, whose chunks have messages of some channels."""
     summary, source = Summary(), LocalSource(path)

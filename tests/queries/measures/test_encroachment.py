@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -11,16 +11,9 @@ from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import ActorLife
-from carla_recap.model.motion import MOTION
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter
-from carla_recap.queries.measures.motion_table import MotionCollector, MotionTable
-from carla_recap.queries.recorded_actors import actors
-from tests.queries.measures.conftest import Mover
-
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
-    from tests.queries.measures.conftest import Drive
+from carla_recap.queries.measures.motion_table import MotionTable
 
 
 class Path(NamedTuple):
@@ -85,45 +78,6 @@ def test_it_is_the_entry_of_the_second_less_the_exit_of_the_first(v1: float, v2:
 
 
 # --- many frames at once --------------------------------------------------------------------------------
-
-
-def circling(id: int, x: float, y: float, radius: float, speed: float) -> Mover:
-    def angle(time: float) -> float:
-        return time * speed / radius + id
-
-    return Mover(
-        id,
-        lambda time: x + radius * math.cos(angle(time)),
-        lambda time: y + radius * math.sin(angle(time)),
-        lambda time: math.degrees(angle(time)) + 90,
-    )
-
-
-def crossings(reader: Reader, longest: float) -> set[tuple[int, int, float, float, float]]:
-    """Return the actors that leave a spot, those that arrive, when, and the least time between both."""
-    search = CrossingSearch(longest)
-    collector = MotionCollector(actors(reader), before=search.before, after=3.0)
-    tables = [table for batch in reader.batches(MOTION) for table in collector.add(batch)]
-    for table in [*tables, *collector.finish()]:
-        search.add(table, np.ones(len(table.ids), np.bool_))
-    return {
-        (each.other.id, each.one.id, *(round(time, 6) for time in (each.start, each.stop, each.post_encroachment_time)))
-        for each in search.finish()
-    }
-
-
-@pytest.mark.parametrize("longest", [1.0, 3.0, 12.0])
-def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch: pytest.MonkeyPatch, longest: float) -> None:
-    """Cars in circles, which cross, follow and touch each other again and again for 30 s."""
-    cars = [circling(id, 9.0 * (id % 3), 11.0 * (id // 3), 7.0 + id, 4.0 + 0.7 * id) for id in range(6)]
-    reader = drive(cars, seconds=30)
-    found = []
-    for frames, moments in ((1024, 16), (1024, 1000), (100, 16), (37, 5)):
-        monkeypatch.setattr("carla_recap.queries.measures.motion_table._FRAMES", frames)
-        monkeypatch.setattr("carla_recap.queries.measures.encroachment._BLOCK", moments)
-        found.append(crossings(reader, longest))
-    assert found[0]
-    assert all(each == found[0] for each in found)
 
 
 # --- what counts as a crossing ---------------------------------------------------------------------------

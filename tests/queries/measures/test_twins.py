@@ -17,7 +17,7 @@ from carla_recap.formats import open_reader
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import MOTION
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from carla_recap.queries.measures import measures, time_series
+from carla_recap.queries.measures import encroachment, measures, time_series
 from carla_recap.queries.measures import motion_table as tables
 from carla_recap.queries.measures.definitions import NO_OTHER
 from carla_recap.queries.measures.motion_table import MotionCollector
@@ -46,13 +46,24 @@ def twin_of(reader: Reader) -> Twin:
 
 
 @settings(max_examples=EXAMPLES)
-@example(4186472194, 1.0, 0.12287142939322877, 3.4, 7)  # an actor that turns where it stands
-@example(3614351163, 3.0, 1.5, 8.0, 1024)  # a time that is equal to its limit
+@example(4186472194, 1.0, 0.12287142939322877, 3.4, 7, 16)  # an actor that turns where it stands
+@example(3614351163, 3.0, 1.5, 8.0, 1024, 16)  # a time that is equal to its limit
 @given(
-    st.integers(0, 2**32 - 1), LIMITS, LIMITS, st.sampled_from([0.0, 0.0, 1.0, 3.4, 8.0]), st.sampled_from([1, 7, 23, 1024])
+    st.integers(0, 2**32 - 1),
+    LIMITS,
+    LIMITS,
+    st.sampled_from([0.0, 0.0, 1.0, 3.4, 8.0]),
+    st.sampled_from([1, 7, 23, 1024]),
+    st.sampled_from([5, 16, 1000]),
 )
-def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, deceleration: float, frames: int) -> None:
-    with closing(open_reader(traffic(tmp_path / "traffic.mcap", seed))) as reader, patch.object(tables, "_FRAMES", frames):
+def test_near_misses(
+    tmp_path: Path, seed: int, longest: float, soonest: float, deceleration: float, frames: int, moments: int
+) -> None:
+    with (
+        closing(open_reader(traffic(tmp_path / "traffic.mcap", seed))) as reader,
+        patch.object(tables, "_FRAMES", frames),
+        patch.object(encroachment, "_BLOCK", moments),
+    ):
         expected = twin_of(reader).near_misses(longest, soonest, deceleration)
         detector = NearMissDetector(
             *lives_and_contacts(reader),
