@@ -9,7 +9,6 @@ import numpy as np
 import psutil
 import pytest
 
-from carla_recap.errors import RecapError
 from carla_recap.scene.materials import Tag
 from tests.server.client import Data, connect, of_frame, sensor, serving, start, vehicle
 from tests.waiting import PATIENCE, wait_until
@@ -17,24 +16,13 @@ from tests.waiting import PATIENCE, wait_until
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-pytest.importorskip("moderngl", reason="moderngl is not installed")
 pytest.importorskip("embreex", reason="embreex is not installed")
+pytestmark = pytest.mark.usefixtures("driver")
 
 SIZE = {"image_size_x": "320", "image_size_y": "240"}
 EYE = carla.Transform(carla.Location(x=2.5, z=1.2))
 HALF = 4.79 / 2  # m: half of the length of the car
 SEMANTIC = np.dtype([("place", "<(3,)f4"), ("cosine", "<f4"), ("id", "<u4"), ("tag", "<u4")])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def driver() -> None:
-    """Skip without a driver."""
-    from carla_recap.rendering.renderer import Renderer
-
-    try:
-        Renderer(models=()).close()
-    except RecapError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import carla
 import pytest
 
-from carla_recap.errors import RecapError
 from carla_recap.server import running
 from carla_recap.sim import World, load_town
 from carla_recap.sim.scenarios import Crash
@@ -192,33 +191,20 @@ def test_a_crash_in_traffic_is_recorded_found_and_replayed(client: carla.Client,
 # --- cameras -------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def drawn() -> None:
-    """Skip where cameras have nothing to draw with."""
-    for module in ("moderngl", "embreex", "PIL"):
-        pytest.importorskip(module, reason=f"{module} is not installed")
-    from carla_recap.rendering.renderer import Renderer
-
-    try:
-        Renderer(models=()).close()
-    except RecapError as error:
-        pytest.skip(str(error))
-
-
 def pictures_of(port: int, script: str, folder: Path, count: int) -> str:
     """Return what a script with cameras prints; it saves some pictures, of the size of its cameras."""
-    from PIL import Image
-
+    pytest.importorskip("embreex", reason="embreex is not installed")
+    image_of = pytest.importorskip("PIL.Image", reason="PIL is not installed").open
     text = output_of(port, script, "-o", folder, "-t", count / 2)
     saved = sorted(folder.glob("*.png"))
     assert len(saved) == count
     for path in saved:
-        with Image.open(path) as image:
+        with image_of(path) as image:
             assert image.size == (800, 600)
     return text
 
 
-@pytest.mark.usefixtures("drawn", "client")
+@pytest.mark.usefixtures("driver", "client")
 def test_a_pair_of_cameras_takes_pictures_of_the_same_frame(port: int, tmp_path: Path) -> None:
     text = pictures_of(port, "camera_pair", tmp_path, 2)
     rows = re.findall(r"frames (\d+) and (\d+): ([\d.]+)% road, ([\d.]+)% cars", text)
@@ -229,7 +215,7 @@ def test_a_pair_of_cameras_takes_pictures_of_the_same_frame(port: int, tmp_path:
         assert 0.2 < float(cars) < 20
 
 
-@pytest.mark.usefixtures("drawn", "client")
+@pytest.mark.usefixtures("driver", "client")
 def test_points_of_a_lidar_fall_on_pixels_of_their_class(port: int, tmp_path: Path) -> None:
     text = pictures_of(port, "lidar_on_camera", tmp_path, 1)
     ((points, same),) = re.findall(r"(\d+) points in the image, ([\d.]+)% on their own class", text)
@@ -237,7 +223,7 @@ def test_points_of_a_lidar_fall_on_pixels_of_their_class(port: int, tmp_path: Pa
     assert float(same) > 97  # of the others, the edges go through their pixel
 
 
-@pytest.mark.usefixtures("drawn", "client")
+@pytest.mark.usefixtures("driver", "client")
 def test_boxes_fit_the_vehicles_in_the_image(port: int, tmp_path: Path) -> None:
     text = pictures_of(port, "boxes_on_camera", tmp_path, 1)
     rows = re.findall(r"(vehicle\S+) \d+ at \S+ m: box (.*), pixels (.*)", text)

@@ -69,15 +69,6 @@ def test_a_feed_ends_with_its_last_subscriber() -> None:
     assert host.sensors._feeds == {}
 
 
-def test_streams_end_with_the_episode() -> None:
-    host = served()
-    imu = sensor(host, "other.imu", vehicle(host))
-    host.tick()
-    host.world.reload()
-    host.tick()
-    assert imu.closed
-
-
 @pytest.mark.parametrize(
     ("interval", "expected"),
     [("0", 20), ("0.05", 20), ("0.1", 10), ("0.25", 4), ("0.3", 4), ("1.0", 1), ("0.01", 20), ("1e-320", 20), ("x", 20)],

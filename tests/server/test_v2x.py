@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import time
 from datetime import UTC, datetime
 from math import log10
@@ -15,7 +14,7 @@ import pytest
 from carla_recap.server.sensors.v2x import PathLoss, message_bytes
 from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Vector
-from tests.server.client import place
+from tests.server.client import Data, place
 from tests.server.client import sensor as sensor_on
 from tests.server.listening import HERE, Listener, sensor, served, vehicle
 from tests.sim.flat import at
@@ -137,61 +136,56 @@ def test_only_what_is_strong_enough_is_received(distance: float, attributes: dic
     assert bool(cams(receiver)) is is_received
 
 
+class Radio:
+    """A receiver, and a vehicle some m ahead of it that sends."""
+
+    def __init__(self, distance: float = 100.0, fading: str = "false", **attributes: str) -> None:
+        self.host = served()
+        self.one, self.other = vehicle(self.host), vehicle(self.host, distance)
+        attributes |= {"use_etsi_fading": fading}
+        receiver = self.host.world.spawn("sensor.other.v2x", HERE, parent=self.one, **attributes)
+        self.path_loss = PathLoss(receiver)
+
+    def loss(self) -> float:
+        """Return the loss on the way, in dB."""
+        return self.path_loss.losses([self.other], self.one)[0]
+
+
 @pytest.mark.parametrize(
-    ("distance", "scenario", "model", "expected"),
-    [
-        (10.0, "highway", "winner", 67.817),
-        (400.0, "highway", "winner", 99.858),
-        (50.0, "urban", "winner", 81.172),
-        (200.0, "rural", "winner", 91.227),
-    ],
+    ("distance", "scenario", "expected"),
+    [(10.0, "highway", 67.817), (400.0, "highway", 99.858), (50.0, "urban", 81.172), (200.0, "rural", 91.227)],
 )
-def test_path_losses_in_sight(distance: float, scenario: str, model: str, expected: float) -> None:
-    host = served()
-    one, other = vehicle(host), vehicle(host, distance)
-    attributes = {"scenario": scenario, "path_loss_model": model, "use_etsi_fading": "false"}
-    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, **attributes)
-    assert PathLoss(receiver).losses([other], one)[0] == pytest.approx(expected, abs=1e-3)
+def test_path_losses_in_sight(distance: float, scenario: str, expected: float) -> None:
+    assert Radio(distance, scenario=scenario, path_loss_model="winner").loss() == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize(("distance", "expected"), [(10.0, 67.620), (50.0, 81.492), (100.0, 91.392), (400.0, 98.182)])
 def test_two_rays_interfere(distance: float, expected: float) -> None:
-    host = served()
-    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=vehicle(host), path_loss_model="geometric")
-    assert PathLoss(receiver)._two_ray(distance, 1.5, 1.5) == pytest.approx(expected, abs=1e-3)
+    found = Radio(path_loss_model="geometric").path_loss._two_ray(distance, 1.5, 1.5)
+    assert found == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize(("model", "expected"), [("winner", 32.4 + 20 * log10(5.9)), ("geometric", 47.865)])
 def test_a_truck_in_between_costs_power(model: str, expected: float) -> None:
-    host = served()
-    one, other = vehicle(host), vehicle(host, 100.0)
-    attributes = {"path_loss_model": model, "use_etsi_fading": "false"}
-    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, **attributes)
-    free = PathLoss(receiver).losses([other], one)[0]
-    truck = host.world.spawn("vehicle.carlamotors.firetruck", at(40.0))
-    behind = PathLoss(receiver).losses([other], one)[0]
+    radio = Radio(path_loss_model=model)
+    free = radio.loss()
+    truck = radio.host.world.spawn("vehicle.carlamotors.firetruck", at(40.0))
+    behind = radio.loss()
     assert 25.0 < behind - (expected + 40) < 40.0
     assert behind > free + 20
     truck.transform = at(40.0, 30.0)
-    assert PathLoss(receiver).losses([other], one)[0] == pytest.approx(free)
+    assert radio.loss() == pytest.approx(free)
 
 
 def test_a_wall_of_props_costs_power() -> None:
-    host = served()
-    one, other = vehicle(host), vehicle(host, 100.0)
-    receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, use_etsi_fading="false")
-    host.world.spawn("static.prop.kiosk_01", at(50.0))
-    assert PathLoss(receiver).losses([other], one)[0] == pytest.approx(111.419, abs=1e-3)
+    radio = Radio()
+    radio.host.world.spawn("static.prop.kiosk_01", at(50.0))
+    assert radio.loss() == pytest.approx(111.419, abs=1e-3)
 
 
 def test_fading_is_the_same_for_a_seed() -> None:
-    losses = []
-    for seed in ("3", "3", "4"):
-        host = served()
-        one, other = vehicle(host), vehicle(host, 100.0)
-        receiver = host.world.spawn("sensor.other.v2x", HERE, parent=one, noise_seed=seed)
-        path_loss = PathLoss(receiver)
-        losses.append([path_loss.losses([other], one)[0] for _ in range(300)])
+    radios = [Radio(fading="true", noise_seed=seed) for seed in ("3", "3", "4")]
+    losses = [[radio.loss() for _ in range(300)] for radio in radios]
     assert losses[0] == losses[1] != losses[2]
     assert np.std(losses[0]) == pytest.approx(3.3, rel=0.2)
     assert np.mean(losses[0]) == pytest.approx(87.817, abs=0.6)
@@ -220,8 +214,7 @@ def carrier(world: carla.World, name: str, x: float = 0.0) -> carla.Actor:
     return place(world, name, carla.Transform(carla.Location(3000.0 + x, 3000.0, 0.5)))
 
 
-def received(world: carla.World, data: queue.Queue[Any], act: Any = lambda: None) -> Any:
-
+def received(world: carla.World, data: Data, act: Any = lambda: None) -> Any:
     def has_come() -> bool:
         if data.empty():
             act()
@@ -234,11 +227,9 @@ def received(world: carla.World, data: queue.Queue[Any], act: Any = lambda: None
 
 def test_the_client_reads_cams(world: carla.World) -> None:
     bus, car = carrier(world, "vehicle.mitsubishi.fusorosa", 30.0), carrier(world, "vehicle.lincoln.mkz_2017")
-    sending, listening = (sensor_on(world, "other.v2x", parent, fixed_rate="true") for parent in (bus, car))
+    _, listening = (sensor_on(world, "other.v2x", parent, fixed_rate="true") for parent in (bus, car))
     bus.set_light_state(carla.VehicleLightState(carla.VehicleLightState.LowBeam))
-    data: queue.Queue[Any] = queue.Queue()
-    listening.listen(data.put)
-    event = received(world, data)
+    event = received(world, Data(listening))
     assert (type(event), event.get_message_count(), len(event)) == (carla.CAMEvent, 1, 1)
     (message,) = event
     found = message.get()
@@ -256,18 +247,12 @@ def test_the_client_reads_cams(world: carla.World) -> None:
     assert (motion["Vehicle Length"]["Value"], motion["Vehicle Width"]) == (103, 39)
     assert motion["Vertical Acceleration"]["Value"] == 98
     assert (low["Vehicle Role"], low["Exterior Light"]) == ("Public Transport", 128)
-    for actor in (sending, listening, bus, car):
-        actor.destroy()
 
 
 def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> None:
     cars = [carrier(world, "vehicle.audi.tt", x) for x in (0.0, 30.0, 900.0)]
     radios = [sensor_on(world, "other.v2x_custom", car) for car in cars]
-    near: queue.Queue[Any] = queue.Queue()
-    far: queue.Queue[Any] = queue.Queue()
-    own: queue.Queue[Any] = queue.Queue()
-    for radio, data in zip(radios, (own, near, far), strict=True):
-        radio.listen(data.put)
+    own, near, far = map(Data, radios)
     event = received(world, near, lambda: radios[0].send("ice on the road"))
     assert (type(event), event.get_message_count()) == (carla.CustomV2XEvent, 1)
     (message,) = event
@@ -284,16 +269,12 @@ def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> N
     wait_until(is_last)
     assert own.empty()
     assert far.empty()
-    for actor in (*radios, *cars):
-        actor.destroy()
 
 
 def test_a_radio_without_a_carrier_is_silent(world: carla.World) -> None:
     alone = sensor_on(world, "other.v2x_custom")
-    data: queue.Queue[Any] = queue.Queue()
-    alone.listen(data.put)
+    data = Data(alone)
     for _ in range(5):
         alone.send("out of range")
         world.tick()
     assert data.empty()
-    alone.destroy()

@@ -60,12 +60,3 @@ def test_walkers_walk_on_sidewalks_and_crossings(world: carla.World, steered: li
         ground = town.height(track[:, 0], track[:, 1])
         assert np.abs(track[:, 2] - ground - walker.bounding_box.extent.z).max() < 0.5
     assert np.linalg.norm(places[-1] - places[0], axis=1).max() > SPEED * SECONDS / 3
-
-
-def test_controllers_stop_and_go_with_their_walkers(world: carla.World, steered: list[carla.Walker]) -> None:
-    world.tick()
-    for walker in steered:
-        assert walker.destroy()
-    for _ in range(2 * WALKERS):  # the client looks after one walker in each tick
-        world.tick()
-    assert not world.get_actors().filter("walker.*")
