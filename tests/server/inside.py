@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Coroutine
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import msgpack
@@ -63,6 +63,13 @@ def client_inside(host: Host) -> Client:
     """Return a client of a host that has no connection."""
     client = Client(host, ClientConnection(CALLS, host.connections, lambda _: client))
     return client
+
+
+def connected(host: Host) -> tuple[ClientConnection, Transport]:
+    """Return a connection of a client to a host, and what is written to it."""
+    connection, transport = ClientConnection(CALLS, host.connections, partial(Client, host)), Transport()
+    connection.connection_made(transport)
+    return connection, transport
 
 
 @cache

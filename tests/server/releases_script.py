@@ -195,9 +195,12 @@ def the_weather_is_kept(session: Session) -> None:
 @step
 def the_spectator_can_be_moved(session: Session) -> None:
     spectator = session.world.get_spectator()
-    spectator.set_transform(carla.Transform(carla.Location(10.0, 20.0, 30.0), carla.Rotation(-20.0, 40.0, 0.0)))
+    spectator.set_transform(carla.Transform(carla.Location(10.0, 20.0, 30.0), carla.Rotation(-90.0, 4.0, 5.0)))
     session.ticks(2)
     assert spectator.get_location().distance(carla.Location(10.0, 20.0, 30.0)) < 0.01
+    turn = spectator.get_transform().rotation
+    for found, expected in ((turn.pitch, -90.0), (turn.yaw, 4.0), (turn.roll, 5.0)):
+        near(found, expected)
 
 
 @step
@@ -245,10 +248,13 @@ def the_tags_of_a_car_and_a_light_are_the_releases(session: Session) -> None:
 @step
 def a_control_drives_a_vehicle(session: Session) -> None:
     start = session.car.get_location()
-    session.car.apply_control(carla.VehicleControl(throttle=0.8))
+    session.car.apply_control(carla.VehicleControl(throttle=0.8, steer=0.01))
     session.ticks(60)
     assert session.car.get_location().distance(start) > 2.0
-    near(session.car.get_control().throttle, 0.8)
+    control = session.car.get_control()
+    near(control.throttle, 0.8)
+    near(control.steer, 0.01)
+    assert control.gear > 0
     assert session.car.get_speed_limit() > 0.0
     session.stop(60)
     near(session.speed(), 0.0, 0.1)
@@ -336,6 +342,24 @@ def a_transform_is_set(session: Session) -> None:
     session.ticks()
     found = session.car.get_location()
     assert math.hypot(found.x - point.location.x, found.y - point.location.y) < 0.2
+    session.car.set_location(found + 5.0 * point.get_forward_vector())
+    session.ticks()
+    near(session.car.get_location().distance(found), 5.0, 0.2)
+    near(session.car.get_transform().rotation.yaw, point.rotation.yaw, 0.1)
+
+
+@step
+def target_velocities_are_taken_over(session: Session) -> None:
+    session.car.set_transform(carla.Transform(carla.Location(500.0, 500.0, 0.5)))
+    session.car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))
+    session.ticks()
+    near(session.car.get_velocity().x, 10.0, 0.5)
+    near(session.car.get_location().x, 500.5, 0.05)
+    session.car.set_target_angular_velocity(carla.Vector3D(0.0, 0.0, 20.0))
+    session.ticks()
+    assert session.car.get_transform().rotation.yaw > 0.2
+    session.car.set_transform(session.world.get_map().get_spawn_points()[1])
+    session.car.set_target_velocity(carla.Vector3D())
 
 
 @step
@@ -359,13 +383,14 @@ def names_in_the_engine_are_read_and_textures_accepted(session: Session) -> None
 @step
 def traffic_lights_are_set_and_frozen(session: Session) -> None:
     light = session.world.get_actors().filter("traffic.traffic_light")[0]
-    light.set_green_time(7.0)
+    for set_time, seconds in ((light.set_green_time, 7.0), (light.set_yellow_time, 2.5), (light.set_red_time, 1.5)):
+        set_time(seconds)
     light.set_state(carla.TrafficLightState.Green)
     light.freeze(True)
     session.ticks(2)
     assert light.get_state() == carla.TrafficLightState.Green
     assert light.is_frozen()
-    near(light.get_green_time(), 7.0)
+    assert (light.get_green_time(), light.get_yellow_time(), light.get_red_time()) == (7.0, 2.5, 1.5)
     assert light.id in [each.id for each in light.get_group_traffic_lights()]
     light.freeze(False)
     session.world.reset_all_traffic_lights()
@@ -476,12 +501,15 @@ def a_walker_walks(session: Session) -> None:
     session.ticks()
     walker.apply_control(carla.WalkerControl(carla.Vector3D(1.0, 0.0, 0.0), 1.5))
     session.ticks(20)
-    near(walker.get_location().x, 501.5, 0.4)
+    near(walker.get_location().x, 501.5, 0.1)
+    near(walker.get_velocity().x, 1.5, 0.01)
+    near(walker.get_control().speed, 1.5)
     assert walker.semantic_tags == [int(carla.CityObjectLabel.Pedestrians)]
     control = carla.WalkerControl(carla.Vector3D(0.0, 1.0, 0.0), 1.5)
     session.client.apply_batch_sync([carla.command.ApplyWalkerControl(walker, control)], True)
     session.ticks(20)
-    near(walker.get_location().y, 501.5, 0.4)
+    near(walker.get_location().y, 501.5, 0.1)
+    near(walker.get_transform().rotation.yaw, 90.0)
     assert walker.destroy()
 
 

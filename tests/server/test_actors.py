@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from functools import partial
 from typing import Any
 
 import carla
@@ -13,11 +12,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.server import host as served
-from carla_recap.server.host import Client, Host
-from carla_recap.server.rpc.connection import ClientConnection
-from carla_recap.server.rpc.registry import CALLS
+from carla_recap.server.host import Host
 from tests.server.client import FAR, spawn, ticks
-from tests.server.inside import Inside, Transport
+from tests.server.inside import Inside, connected
 from tests.sim.flat import flat_world
 
 
@@ -62,30 +59,6 @@ def test_an_actor_that_is_destroyed_before_a_tick_is_known(inside: Inside) -> No
 def test_repeated_ids_give_one_record(inside: Inside) -> None:
     id = inside.world.spectator.id
     assert [record[0] for record in inside.call("get_actors_by_id", [id, 99999, id])] == [id]
-
-
-def test_actors_are_teleported(world: carla.World) -> None:
-    car, spectator = spawn(world), world.get_spectator()
-    car.set_transform(carla.Transform(carla.Location(500.0, 500.0, 3.0), carla.Rotation(yaw=30.0)))
-    spectator.set_transform(carla.Transform(carla.Location(1.0, 2.0, 3.0), carla.Rotation(-90.0, 4.0, 5.0)))
-    world.tick()
-    assert (car.get_location().x, car.get_transform().rotation.yaw) == pytest.approx((500.0, 30.0), abs=1e-3)
-    turn = spectator.get_transform().rotation
-    assert (spectator.get_location().z, turn.pitch, turn.yaw, turn.roll) == pytest.approx((3.0, -90.0, 4.0, 5.0))
-    car.set_location(carla.Location(510.0, 500.0, 0.0))
-    world.tick()
-    assert (car.get_location().x, car.get_transform().rotation.yaw) == pytest.approx((510.0, 30.0), abs=1e-3)
-
-
-def test_velocities_are_taken_over(world: carla.World) -> None:
-    car = spawn(world, at=FAR)
-    car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))
-    world.tick()
-    assert car.get_velocity().x == pytest.approx(10.0, abs=0.1)
-    assert car.get_location().x == pytest.approx(500.5, abs=0.01)
-    car.set_target_angular_velocity(carla.Vector3D(0.0, 0.0, 20.0))
-    world.tick()
-    assert car.get_transform().rotation.yaw > 0.2
 
 
 def test_a_constant_velocity_is_kept_in_the_axes_of_the_vehicle(world: carla.World) -> None:
@@ -215,10 +188,7 @@ async def test_the_records_of_many_actors_keep_no_other_client_waiting(monkeypat
     monkeypatch.setattr(served, "_SLICE", 0.0)
     host = Host(flat_world())
     ids = list(host.world.actors)
-    one, other = (ClientConnection(CALLS, host.connections, partial(Client, host)) for _ in range(2))
-    transports = Transport(), Transport()
-    for connection, transport in zip((one, other), transports, strict=True):
-        connection.connection_made(transport)
+    (one, other), transports = zip(*(connected(host) for _ in range(2)), strict=True)
     one.data_received(msgpack.packb([0, 1, "get_actors_by_id", [[False], [*ids, *ids]]]))
     other.data_received(msgpack.packb([0, 1, "version", [[False]]]))
     assert [len(transport.replies) for transport in transports] == [0, 1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -11,12 +10,10 @@ import msgpack
 import pytest
 
 from carla_recap.server import host as served
-from carla_recap.server.host import Client, Host
-from carla_recap.server.rpc.connection import ClientConnection
-from carla_recap.server.rpc.registry import CALLS
+from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.sim.actors.moving import Vehicle
-from tests.server.inside import Inside, Transport
+from tests.server.inside import Inside, connected
 from tests.sim.flat import flat_world
 
 if TYPE_CHECKING:
@@ -61,10 +58,7 @@ async def test_a_long_batch_keeps_no_other_client_waiting(
     host.apply_settings(EpisodeSettings(synchronous_mode=True))
     present: list[int] = []
     host.world.listeners.append(lambda: present.append(len(boxes(host))))
-    one, other = (ClientConnection(CALLS, host.connections, partial(Client, host)) for _ in range(2))
-    transports = Transport(), Transport()
-    for connection, transport in zip((one, other), transports, strict=True):
-        connection.connection_made(transport)
+    (one, other), transports = zip(*(connected(host) for _ in range(2)), strict=True)
 
     def prop(number: int, *after: Any) -> list[Any]:
         place = [[5.0 * number, 0.0, 0.0], [0.0, 0.0, 0.0]]

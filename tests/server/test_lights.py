@@ -24,18 +24,6 @@ def inside() -> Inside:
     return Inside()
 
 
-def test_times_are_kept(world: carla.World, lights: list[carla.TrafficLight]) -> None:
-    light = next(light for light in lights if light.state == GREEN)
-    for set_time, seconds in ((light.set_green_time, 1.0), (light.set_yellow_time, 2.0), (light.set_red_time, 3.0)):
-        set_time(seconds)
-    world.tick()
-    assert (light.get_green_time(), light.get_yellow_time(), light.get_red_time()) == (1.0, 2.0, 3.0)
-    ticks(world, 19)
-    assert light.state == YELLOW
-    for set_time, seconds in ((light.set_green_time, 10.0), (light.set_yellow_time, 3.0), (light.set_red_time, 2.0)):
-        set_time(seconds)
-
-
 @pytest.mark.parametrize("whole", [True, False], ids=["by the world", "by a light, which the client takes for all"])
 def test_time_stands_still_for_all(world: carla.World, lights: list[carla.TrafficLight], whole: bool) -> None:
     freeze = world.freeze_all_traffic_lights if whole else lights[0].freeze

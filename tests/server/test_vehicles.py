@@ -24,14 +24,6 @@ def inside() -> Inside:
     return Inside()
 
 
-def test_a_car_is_driven_by_its_controls(world: carla.World, car: carla.Vehicle) -> None:
-    car.apply_control(carla.VehicleControl(throttle=0.5, steer=0.25))
-    ticks(world, 20)
-    assert car.get_velocity().x > 1.0
-    control = car.get_control()
-    assert (control.throttle, control.steer, control.gear) == (0.5, 0.25, 1)
-
-
 @pytest.mark.parametrize("speed", [8.0, -3.0, 0.0])
 def test_a_car_comes_to_the_speed_that_it_is_told(world: carla.World, car: carla.Vehicle, speed: float) -> None:
     car.set_target_velocity(carla.Vector3D(4.0, 0.0, 0.0))
