@@ -61,6 +61,14 @@ def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
     ]
 
 
+def test_a_spawn_begins_anew(make: Make) -> None:
+    reader = make(at((1, 1)), at((1, 1)), [{"spawned": [spawn(1)]}, at((1, 1))], at((1, 1)), {})
+    rows = [(row.start, row.duration, row.type_id) for row in blocked(reader, 0.5)]
+    assert rows == [(0.5, 0.5, ""), (1.5, 0.5, "vehicle.a")]
+    (row,) = blocked(reader, 1.0, compat=True)
+    assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
+
+
 @pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
 def test_an_interval_of_exactly_the_minimum_time(make: Make, drive: int, stand: int) -> None:
     """It is summed up frame by frame; the difference of two times would be rounded otherwise."""
