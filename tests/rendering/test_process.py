@@ -48,11 +48,6 @@ def test_images_are_those_of_the_renderer(process: RenderProcess) -> None:
     assert all((images[kind] == expected[kind]).all() for kind in ALL)
 
 
-def test_a_function_that_returns_the_town_is_called_while_the_process_starts() -> None:
-    with RenderProcess(lambda: PLANE, models=MODELS) as process, create() as renderer:
-        assert (process.draw(DrawnView(camera()), BOXES)[RGB] == renderer.draw(camera(), BOXES)[RGB]).all()
-
-
 def test_a_town_that_cannot_be_made_is_an_error_and_leaves_no_process() -> None:
     def fail() -> None:
         started.update(set(psutil.Process().children()) - others)
@@ -132,24 +127,6 @@ def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies(driv
         with pytest.raises(ChildEnded, match="exit code -9"):
             first.result(PATIENCE)
         assert second.result(PATIENCE)[0][RGB].any()
-
-
-def test_a_process_that_dies_again_is_started_again_later(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 100.0
-    monkeypatch.setattr(process_module, "monotonic", lambda: now)
-    with RenderProcess(None, models=MODELS) as process:
-        for _ in range(2):
-            if process.pid is None:
-                process.draw(DrawnView(camera()), BOXES)  # starts another
-            assert process.pid is not None
-            os.kill(process.pid, signal.SIGKILL)
-            with pytest.raises(ChildEnded, match="exit code -9"):
-                process.draw(DrawnView(camera()), BOXES)
-        with pytest.raises(RenderProcessNotStarted, match="not started again yet"):
-            process.draw(DrawnView(camera()), BOXES)
-        assert process.pid is None
-        now += 3.0
-        assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
 
 
 def test_pauses_between_restarts_in_vain_grow(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -359,16 +359,6 @@ def test_an_unknown_quality_is_refused() -> None:
         Renderer(PLANE, quality="high")  # type: ignore[arg-type]
 
 
-def test_bytes_are_the_same_each_time_and_by_each_renderer(renderer: Renderer) -> None:
-    seen, box = camera(), boxes((10, 0, 2), (15, 3, 1))
-    first = renderer.draw(seen, box, ALL)
-    renderer.draw(camera(width=64, height=48), None, [RGB])
-    again = renderer.draw(seen, box, ALL)
-    with create() as other:
-        others = other.draw(seen, box, ALL)
-    assert all((first[kind] == again[kind]).all() and (first[kind] == others[kind]).all() for kind in ALL)
-
-
 def test_a_kind_is_the_same_alone_and_with_others(renderer: Renderer) -> None:
     box = boxes((10, 0, 2))
     together = renderer.draw(camera(), box, ALL)

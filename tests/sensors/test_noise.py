@@ -25,8 +25,3 @@ def test_errors_are_a_bias_and_a_deviation_of_each_value() -> None:
     for _ in range(3):
         assert (noise.add_to(np.array([1.0, 2.0])) == [11.0 + expected.normal(0.0, 2.0), 2.0]).all()
         expected.normal()  # that of the value without deviation
-
-
-def test_without_a_deviation_values_are_exact() -> None:
-    values = np.array([1.0, 2.0])
-    assert Noise(defaultdict(float).__getitem__, (), ["a", "b"]).add_to(values).tolist() == [1.0, 2.0]

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from carla_recap.sensors.position import GeoReference, Gnss, Imu, acceleration_at
-from tests.roads.towns import town
 
 ROAD = """<OpenDRIVE><header revMajor="1" revMinor="4">{}</header><road name="" length="100" id="1" junction="-1">
 <planView><geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry></planView><lanes><laneSection s="0">
@@ -36,15 +35,6 @@ def test_geolocations_are_those_of_the_client(reference: str, tag: str) -> None:
         expected = there.transform_to_geolocation(carla.Location(x, y, z))
         found = GeoReference.of(text).locate((x, y, z))
         assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
-
-
-@pytest.mark.parametrize("name", ["Town01", "Town10HD"])
-def test_geolocations_in_towns_are_those_of_the_client(name: str) -> None:
-    text = town(name).read_text(encoding="utf-8")
-    carla = pytest.importorskip("carla", reason="the extra `carla` is not installed")
-    expected = carla.Map(name, text).transform_to_geolocation(carla.Location(100.0, 50.0, 1.0))
-    found = GeoReference.of(text).locate((100.0, 50.0, 1.0))
-    assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
 
 
 @pytest.mark.parametrize("text", ["", ROAD.format(""), "<geoReference>+lat_0=x +lon_0=1</geoReference>"])

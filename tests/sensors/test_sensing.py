@@ -285,14 +285,6 @@ def test_a_carrier_that_never_exists_and_times_that_make_no_sense_are_errors(sma
             sense(recording, MOTION, start=1e6)
 
 
-def test_a_recording_without_a_hero(tmp_path: Path) -> None:
-    with carla_recap.create_recording(tmp_path / "none.mcap", map_name="Brickfield", date=0) as recorder:
-        recorder.add_frame(0.0, spawned=[spawn(5, HERO_POSE)], transforms=[(5, *HERO_POSE)])
-    missing = pytest.raises(RecapError, match=r"none.mcap: there is no hero to carry the rig")
-    with carla_recap.open_recording(tmp_path / "none.mcap") as recording, missing:
-        sense(recording, MOTION)
-
-
 LIDAR = {"type": "sensor.lidar.ray_cast_semantic", "id": "lidar", "x": 0.0, "y": 0.0, "z": 2.0, "range": 30.0}
 
 

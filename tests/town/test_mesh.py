@@ -358,12 +358,6 @@ def test_the_triangles_that_are_looked_at_for_a_point_are_bounded():
     assert grid.highest(np.array([(0.5, 0.5)])).tolist() == [0.0]
 
 
-def test_many_copies_of_a_road_are_built_soon():
-    start = time.process_time()
-    built(*(road(number, sections=section(0, right=marked(-1))) for number in range(1, 121)))
-    assert time.process_time() - start < 20
-
-
 def test_roads_far_apart_have_ground_around_them_alone():
     with pytest.warns(RecapWarning, match="the ground is known to"):
         town = built(*(road(number, x=4e3 * number, y=-4e3 * number) for number in range(1, 61)))
