@@ -11,7 +11,9 @@ import carla
 import pytest
 
 from carla_recap.server import running
+from carla_recap.sim.actors.moving import Vehicle
 from tests.server.client import SYNCHRONOUS, connect
+from tests.server.inside import Inside
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -76,3 +78,17 @@ def other_client(port: int) -> Iterator[carla.Client]:
 @pytest.fixture
 def world(client: carla.Client) -> carla.World:
     return client.get_world()
+
+
+@pytest.fixture(scope="module")
+def inside() -> Inside:
+    return Inside()
+
+
+@pytest.fixture
+def parked(inside: Inside) -> Iterator[Vehicle]:
+    """A car of the world of `inside`."""
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[5])
+    assert isinstance(car, Vehicle)
+    yield car
+    car.destroy()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import carla
 import msgpack
@@ -17,10 +17,10 @@ from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside, connected
 from tests.sim.flat import flat_world
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
-@pytest.fixture(scope="module")
-def inside() -> Inside:
-    return Inside()
+    from carla_recap.sim.actors.moving import Vehicle
 
 
 def test_all_blueprints_can_be_spawned_and_their_attributes_read_back(client: carla.Client, world: carla.World) -> None:
@@ -83,19 +83,17 @@ def test_impulses_and_forces_push(world: carla.World) -> None:
     assert car.get_velocity().x == pytest.approx(6.8, abs=0.2)
 
 
-def test_pushes_at_a_place_and_torques_turn(inside: Inside) -> None:
-    car = inside.world.spawn("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+def test_pushes_at_a_place_and_torques_turn(inside: Inside, parked: Vehicle) -> None:
     rows = inside.world.vehicles
-    moment, at = rows.moment[rows.row(car.id)].item(), car.transform.location
-    inside.call("add_actor_impulse_at_location", car.id, [0.0, moment, 0.0], [at.x + 0.5, at.y, at.z])
-    assert rows.turning[rows.row(car.id)] == pytest.approx(0.5)
-    inside.call("add_actor_angular_impulse", car.id, [0.0, 0.0, math.degrees(moment)])
-    assert rows.turning[rows.row(car.id)] == pytest.approx(1.5)
-    inside.call("add_actor_torque", car.id, [0.0, 0.0, math.degrees(moment) * 20])
-    assert rows.turning[rows.row(car.id)] == pytest.approx(2.5)
-    inside.call("add_actor_force_at_location", car.id, [0.0, moment * 20, 0.0], [at.x + 0.5, at.y, at.z])
-    assert rows.turning[rows.row(car.id)] == pytest.approx(3.0)
-    car.destroy()
+    moment, at = rows.moment[rows.row(parked.id)].item(), parked.transform.location
+    inside.call("add_actor_impulse_at_location", parked.id, [0.0, moment, 0.0], [at.x + 0.5, at.y, at.z])
+    assert rows.turning[rows.row(parked.id)] == pytest.approx(0.5)
+    inside.call("add_actor_angular_impulse", parked.id, [0.0, 0.0, math.degrees(moment)])
+    assert rows.turning[rows.row(parked.id)] == pytest.approx(1.5)
+    inside.call("add_actor_torque", parked.id, [0.0, 0.0, math.degrees(moment) * 20])
+    assert rows.turning[rows.row(parked.id)] == pytest.approx(2.5)
+    inside.call("add_actor_force_at_location", parked.id, [0.0, moment * 20, 0.0], [at.x + 0.5, at.y, at.z])
+    assert rows.turning[rows.row(parked.id)] == pytest.approx(3.0)
 
 
 PUSHES: dict[str, Any] = {
@@ -114,24 +112,20 @@ def test_a_walker_has_no_body_to_be_pushed(inside: Inside, name: str) -> None:
     walker.destroy()
 
 
-def test_pushes_on_a_vehicle_without_physics_do_not_pile_up(inside: Inside) -> None:
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[5])
+def test_pushes_on_a_vehicle_without_physics_do_not_pile_up(inside: Inside, parked: Vehicle) -> None:
     rows = inside.world.vehicles
-    inside.call("set_actor_simulate_physics", car.id, False)
-    inside.call("add_actor_impulse_at_location", car.id, [9e3, 9e3, 9e5], [0.0, 0.0, 0.0])
-    inside.call("set_actor_simulate_physics", car.id, True)
-    row = rows.row(car.id)
+    inside.call("set_actor_simulate_physics", parked.id, False)
+    inside.call("add_actor_impulse_at_location", parked.id, [9e3, 9e3, 9e5], [0.0, 0.0, 0.0])
+    inside.call("set_actor_simulate_physics", parked.id, True)
+    row = rows.row(parked.id)
     assert (rows.turning[row], rows.speed[row], rows.sideways[row]) == (0.0, 0.0, 0.0)
-    car.destroy()
 
 
-def test_a_push_that_is_refused_leaves_nothing(inside: Inside) -> None:
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[5])
-    at = car.transform.location
+def test_a_push_that_is_refused_leaves_nothing(inside: Inside, parked: Vehicle) -> None:
+    at = parked.transform.location
     with pytest.raises(RecapError, match="at most"):
-        inside.call("add_actor_impulse_at_location", car.id, [0.0, 5e7, 0.0], [at.x + 0.001, at.y, at.z])
-    assert inside.world.vehicles.turning[inside.world.vehicles.row(car.id)] == 0.0
-    car.destroy()
+        inside.call("add_actor_impulse_at_location", parked.id, [0.0, 5e7, 0.0], [at.x + 0.001, at.y, at.z])
+    assert inside.world.vehicles.turning[inside.world.vehicles.row(parked.id)] == 0.0
 
 
 def test_the_dead_neither_walk_nor_drive(inside: Inside) -> None:
@@ -165,14 +159,14 @@ def test_the_dead_neither_walk_nor_drive(inside: Inside) -> None:
         ("add_actor_torque", lambda n: [[0.0, 0.0, n]]),
     ],
 )
-def test_numbers_that_are_none_or_too_large_are_refused(inside: Inside, name: str, arguments, bad: float) -> None:  # type: ignore[no-untyped-def]
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[9])
-    before = car.transform
+def test_numbers_that_are_none_or_too_large_are_refused(
+    inside: Inside, parked: Vehicle, name: str, arguments: Callable[[float], list[Any]], bad: float
+) -> None:
+    before = parked.transform
     with pytest.raises(RecapError, match=r"finite|at most"):
-        inside.call(name, car.id, *arguments(bad))
+        inside.call(name, parked.id, *arguments(bad))
     inside.host.tick()
-    assert car.transform.location.distance(before.location) < 1.0
-    car.destroy()
+    assert parked.transform.location.distance(before.location) < 1.0
 
 
 def test_attributes_that_no_recording_could_have_are_refused(inside: Inside) -> None:

@@ -12,12 +12,13 @@ from carla_recap.server.actor_records import check_attributes
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
-from tests.server.inside import Inside
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     import carla
+
+    from tests.server.inside import Inside
 
 CAR, WALKER, CAMERA, IMU = "vehicle.audi.tt", "walker.pedestrian.0001", "sensor.camera.rgb", "sensor.other.imu"
 BAD = [
@@ -37,11 +38,6 @@ GOOD = [
     *((CAMERA, "image_size_x", value) for value in ("1", "4096", "800.0")),
     (CAR, "role_name", ""),
 ]
-
-
-@pytest.fixture(scope="module")
-def inside() -> Inside:
-    return Inside()
 
 
 @pytest.mark.parametrize(("name", "key", "value"), BAD)

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Vector
 from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.moving import Vehicle
 
 
 @pytest.fixture
 def car(world: carla.World) -> carla.Vehicle:
     return spawn(world, at=FAR)
-
-
-@pytest.fixture(scope="module")
-def inside() -> Inside:
-    return Inside()
 
 
 @pytest.mark.parametrize("speed", [8.0, -3.0, 0.0])
@@ -71,13 +69,11 @@ def test_the_physics_control_of_every_blueprint_comes_back_as_it_was_sent(world:
     [(0, []), (0, [[9000.0, 100.0], [0.0, 700.0]]), (10, []), (9, 0.0), (11, -5.0)],
     ids=["no torque", "falling revolutions", "no gears", "no final ratio", "no mass"],
 )
-def test_a_physics_control_that_carla_takes_is_taken(inside: Inside, field: int, value: object) -> None:
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
-    control = inside.call("get_physics_control", car.id)
+def test_a_physics_control_that_carla_takes_is_taken(inside: Inside, parked: Vehicle, field: int, value: object) -> None:
+    control = inside.call("get_physics_control", parked.id)
     control[field] = value
-    inside.call("apply_physics_control", car.id, control)
-    assert inside.call("get_physics_control", car.id) == control
-    car.destroy()
+    inside.call("apply_physics_control", parked.id, control)
+    assert inside.call("get_physics_control", parked.id) == control
 
 
 def test_a_physics_control_with_fewer_wheels_changes_the_first_ones(inside: Inside) -> None:
@@ -96,14 +92,12 @@ def test_a_physics_control_with_fewer_wheels_changes_the_first_ones(inside: Insi
     truck.destroy()
 
 
-def test_doors_open_and_close(inside: Inside) -> None:
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
-    inside.call("open_vehicle_door", car.id, 6)
-    inside.call("close_vehicle_door", car.id, 0)
-    assert car.open_doors == {1, 2, 3, 4, 5}  # type: ignore[attr-defined]
+def test_doors_open_and_close(inside: Inside, parked: Vehicle) -> None:
+    inside.call("open_vehicle_door", parked.id, 6)
+    inside.call("close_vehicle_door", parked.id, 0)
+    assert parked.open_doors == {1, 2, 3, 4, 5}
     with pytest.raises(RecapError, match="a door: 0 to 6"):
-        inside.call("open_vehicle_door", car.id, 7)
-    car.destroy()
+        inside.call("open_vehicle_door", parked.id, 7)
 
 
 def test_telemetry_is_of_the_motion(world: carla.World, car: carla.Vehicle) -> None:
@@ -154,17 +148,15 @@ def test_only_vehicles_are_driven(inside: Inside) -> None:
         inside.call("apply_control_to_vehicle", spectator, [0.0, 0.0, 0.0, False, False, False, 0])
 
 
-def test_controls_are_numbers(inside: Inside) -> None:
+def test_controls_are_numbers(inside: Inside, parked: Vehicle) -> None:
     bad = math.nan
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
     with pytest.raises(RecapError, match="apply_control_to_vehicle, argument 2: expected a finite number"):
-        inside.call("apply_control_to_vehicle", car.id, [0.0, bad, 0.0, False, False, False, 0])
+        inside.call("apply_control_to_vehicle", parked.id, [0.0, bad, 0.0, False, False, False, 0])
     with pytest.raises(RecapError, match="finite"):
-        inside.call("apply_ackermann_control_to_vehicle", car.id, [0.0, 0.0, bad, 0.0, 0.0])
-    inside.call("apply_ackermann_control_to_vehicle", car.id, [3e38, 3e38, 3e38, 3e38, 3e38])
+        inside.call("apply_ackermann_control_to_vehicle", parked.id, [0.0, 0.0, bad, 0.0, 0.0])
+    inside.call("apply_ackermann_control_to_vehicle", parked.id, [3e38, 3e38, 3e38, 3e38, 3e38])
     inside.host.tick()
-    assert math.isfinite(car.transform.location.x)
-    car.destroy()
+    assert math.isfinite(parked.transform.location.x)
 
 
 def test_vehicles_in_a_lane_are_not_exactly_in_line(world: carla.World) -> None:
@@ -185,26 +177,23 @@ def test_vehicles_in_a_lane_are_not_exactly_in_line(world: carla.World) -> None:
         second.destroy()
 
 
-def test_telemetry_of_a_recorded_gear_that_the_blueprint_lacks_is_that_of_its_highest(inside: Inside) -> None:
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
-    assert isinstance(car, Vehicle)
-    car.set_target_velocity(Vector(10.0, 10.0))
-    rows, row = car.rows, car.row
+def test_telemetry_of_a_recorded_gear_that_the_blueprint_lacks_is_that_of_its_highest(
+    inside: Inside, parked: Vehicle
+) -> None:
+    parked.set_target_velocity(Vector(10.0, 10.0))
+    rows, row = parked.rows, parked.row
     told = []
-    for gear in (car.gears, 9):
+    for gear in (parked.gears, 9):
         rows.gear[row] = gear
-        told.append(inside.call("get_telemetry_data", car.id))
+        told.append(inside.call("get_telemetry_data", parked.id))
     assert told[1][5] == 9
     assert told[1][4] == told[0][4] > 0
-    car.destroy()
 
 
-def test_a_velocity_that_is_too_high_in_other_axes_is_refused(inside: Inside) -> None:
-    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+def test_a_velocity_that_is_too_high_in_other_axes_is_refused(inside: Inside, parked: Vehicle) -> None:
     with pytest.raises(RecapError, match="at most 10000 m/s"):
-        inside.call("enable_actor_constant_velocity", car.id, [9000.0, 9000.0, 0.0])
+        inside.call("enable_actor_constant_velocity", parked.id, [9000.0, 9000.0, 0.0])
     inside.host.tick()
-    car.destroy()
 
 
 def test_what_raises_in_a_tick_costs_that_action_alone(caplog: pytest.LogCaptureFixture) -> None:
