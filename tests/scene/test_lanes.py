@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from carla_recap import Verdict
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.incidents import Incident
 from carla_recap.scene.lanes import incident_lanes, verdict_lanes
 
@@ -25,6 +26,9 @@ def test_a_lane_of_incidents_says_to_whom_they_happen() -> None:
         [(0, "long stop: 7"), (1, "long stop: 5, 7"), (2, "long stop: 7"), (3, "none"), (4, "long stop: 5")],
     )
     assert incident_lanes([stop(11.0, 12.0, 4)], ELAPSED) == []
+    about = SAME_TIME / 2  # by which times differ that are the same
+    (lane,) = incident_lanes([stop(9.0, 10.0 - about, 3), stop(10.2 + about, 10.3 - about, 7)], ELAPSED)
+    assert lane.states == [(0, "long stop: 3"), (1, "none"), (2, "long stop: 7"), (4, "none")]
 
 
 @pytest.mark.parametrize(
