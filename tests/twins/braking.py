@@ -64,7 +64,7 @@ def _of_vehicle(frames: Sequence[Frame], id: int, deceleration: float) -> list[I
 
     def tyres_can(run: list[int]) -> bool:
         steps = [(speeds[row] - speeds[row + 1]) / (times[row + 1] - times[row]) for row in run[:-1]]
-        return times[run[-1]] - times[run[0]] >= 0.3 - 1e-6 or all(step <= TYRES for step in steps)
+        return times[run[-1]] - times[run[0]] >= 0.3 - 1e-6 or all(step <= 1.1 * TYRES for step in steps)
 
     found: list[tuple[float, float]] = []
     for run in hard:

@@ -32,6 +32,7 @@ HARD: Final = 6.0
 HALF_WINDOW: Final = 0.125  # s before and after a moment, of which the speeds count
 SHORTEST: Final = 0.3  # s in which the least deceleration loses the least speed that counts
 _FEWEST: Final = 3  # frames of hard braking
+_STEP: Final = 1.1 * MAX_DECELERATION  # m/s² between two frames, of which speeds may follow from positions
 _DIGITS: Final = 6  # of decelerations, beyond which they depend on where the frames that are read begin
 _SURE: Final = 0.999  # a deceleration below this share of another one is below it in spite of rounding
 
@@ -123,7 +124,8 @@ class BrakingDetector:
     def can_be_braking(self, id: int, start: float, stop: float) -> bool:
         """Return whether a vehicle brakes hard in some elapsed seconds by its tyres; True where its frames are unknown.
 
-        The deceleration of these is at most `MAX_DECELERATION`; also between any two frames, if it is shorter than 0.3 s.
+        The deceleration of these is at most `MAX_DECELERATION`; what is shorter than 0.3 s, by a tenth more at most
+        between any two frames.
         """
         rows = self._hard_of(id, start, stop)
         return not len(rows) or bool(self._can_be_braking(rows).any())
@@ -137,7 +139,7 @@ class BrakingDetector:
     def _can_be_braking(self, rows: NDArray[np.void]) -> Booleans:
         """Return which frames of hard braking of a vehicle are of parts that are long enough, and that tyres can do."""
         found, time, lost = np.zeros(len(rows), np.bool_), rows["time"], _lost(rows)
-        by_tyres = -np.diff(rows["speed"]) <= MAX_DECELERATION * np.diff(time)
+        by_tyres = -np.diff(rows["speed"]) <= _STEP * np.diff(time)
         for first, last in runs(rows["deceleration"] <= MAX_DECELERATION, _follow(rows)):
             is_long = time[last] - time[first] >= SHORTEST - SAME_TIME
             found[first : last + 1] = is_long or (by_tyres[first:last].all() and lost[last] - lost[first] >= self._least)
