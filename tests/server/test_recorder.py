@@ -328,7 +328,7 @@ def test_a_client_takes_over_a_vehicle_after_a_replay(recordings: Path, how: str
     inside = Inside()
     inside.world.replay_file(recordings / "drive.mcap", start=2.0)
     inside.world.run(0.5)
-    inside.world.stop_replayer(keep_actors=True)
+    inside.call("stop_replayer", True)
     inside.world.run(0.1)
     hero = next(vehicle for vehicle in inside.world.vehicles.actors if vehicle.type_id == "vehicle.tesla.model3")
     assert hero.autopilot

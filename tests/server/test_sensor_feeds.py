@@ -214,10 +214,12 @@ def test_a_radar_measures_distance_and_speed() -> None:
     car = vehicle(host)
     ahead = vehicle(host, 30.0)
     radar = sensor(host, "other.radar", car, at(2.5, z=0.8), points_per_second="20000")
+    short = sensor(host, "other.radar", car, at(2.5, z=0.8), range="20")
     ahead.set_target_velocity(Vector(4.0))
     host.tick()
     found = radar_rows(radar)
     assert 10 < len(found) < 500
+    assert len(radar_rows(short)) == 0
     back = ahead.transform.location.x - 4.79 / 2 - 2.5
     assert found[:, 3] * np.cos(found[:, 1]) * np.cos(found[:, 2]) == pytest.approx(np.full(len(found), back), abs=0.01)
     assert found[:, 0] == pytest.approx(np.full(len(found), ahead.velocity.x), rel=0.01)
@@ -245,7 +247,7 @@ def test_a_lidar_sees_boxes_in_its_own_axes_channel_by_channel() -> None:
     assert points[0, 3] == pytest.approx(exp(-0.004 * np.linalg.norm(points[0, :3])), abs=1e-4)
 
 
-def test_lidars_and_radars_are_the_same_for_a_seed() -> None:
+def test_measurements_are_the_same_for_a_seed() -> None:
     payloads = []
     for seed in ("5", "5", "6"):
         host = served()
@@ -256,11 +258,12 @@ def test_lidars_and_radars_are_the_same_for_a_seed() -> None:
         seeded = {"noise_seed": seed}
         lidar = sensor(host, "lidar.ray_cast", car, at(0.0, z=1.0), noise_stddev="0.1", **seeded, **LIDAR)
         radar = sensor(host, "other.radar", car, at(2.5, z=0.8), **seeded)
+        gnss = sensor(host, "other.gnss", car, noise_lat_stddev="0.1", **seeded)
+        imu = sensor(host, "other.imu", car, noise_accel_stddev_x="0.5", **seeded)
         host.tick()
-        payloads.append((lidar.payload(), radar.payload()))
+        payloads.append([listener.payload() for listener in (lidar, radar, gnss, imu)])
     assert payloads[0] == payloads[1]
-    assert payloads[0][0] != payloads[2][0]
-    assert payloads[0][1] != payloads[2][1]
+    assert all(one != other for one, other in zip(payloads[0], payloads[2], strict=True))
 
 
 def test_rays_and_barriers_have_heights() -> None:
