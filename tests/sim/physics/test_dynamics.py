@@ -153,6 +153,17 @@ def test_reverse_drives_backwards_and_slower() -> None:
     assert car.control.gear == -1
 
 
+def test_neutral_can_be_chosen() -> None:
+    world = flat_world()
+    car = vehicle(world, "audi.tt")
+    car.set_target_velocity(Vector(20.0))
+    world.vehicles.engage(0)
+    car.apply_control(VehicleControl(throttle=1.0, manual_gear_shift=True, gear=0))
+    world.run(1)
+    assert car.velocity.x < 20.0
+    assert car.control.gear == 0
+
+
 def test_in_first_gear_it_is_no_faster_than_its_revolutions_allow() -> None:
     world = flat_world()
     car = vehicle(world, "audi.tt")
@@ -291,6 +302,22 @@ def test_a_slippery_front_axle_steers_less() -> None:
         world.run(1.5)
         turns.append(car.transform.rotation.yaw)
     assert turns[1] < 0.5 * turns[0]
+
+
+def test_soft_tyres_accelerate_and_brake_less() -> None:
+    speeds = []
+    for stiffness in (50.0, 150.0, 3000.0):
+        world = flat_world()
+        car = vehicle(world, "tesla.model3")
+        rebuilt(car, long_stiff_value=stiffness)
+        car.apply_control(VehicleControl(throttle=1.0))
+        world.run(2)
+        fast = car.velocity.x
+        car.apply_control(VehicleControl(brake=1.0))
+        world.run(1.5)  # the engine slows down first
+        speeds.append((fast, fast - car.velocity.x))
+    assert speeds[0][0] < 0.7 * speeds[1][0] < 0.7 * speeds[2][0]
+    assert speeds[0][1] < speeds[1][1] < speeds[2][1]
 
 
 @pytest.mark.parametrize("sticky", ["false", "False", "true"])
