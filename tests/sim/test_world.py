@@ -394,6 +394,7 @@ def test_invalid_physics_controls_and_controls_are_errors() -> None:
         lambda: car.add_force(Vector(1.1e4 * control.mass / world.delta)),
         lambda: setattr(car, "physics_control", replace(control, mass=float("nan"))),
         lambda: setattr(car, "physics_control", replace(control, wheels=[])),
+        lambda: setattr(car, "physics_control", replace(control, wheels=[replace(control.wheels[0], radius=float("nan"))])),
         lambda: setattr(car, "physics_control", replace(control, forward_gears=control.forward_gears * 13)),
         lambda: setattr(car, "physics_control", replace(control, clutch_strength=1e39)),
         lambda: car.apply_control(VehicleControl(manual_gear_shift=True, gear=99)),
