@@ -181,12 +181,16 @@ def test_an_imu_on_another_sensor_measures_as_one_at_that_place() -> None:
     car = vehicle(host)
     mast = host.world.spawn("sensor.other.gnss", at(2.0, 1.0), parent=car)
     attached, direct = sensor(host, "other.imu", mast, HERE), sensor(host, "other.imu", car, at(2.0, 1.0))
+    middle = sensor(host, "other.imu", car, HERE)
     car.set_target_velocity(Vector(10.0))
     car.apply_control(VehicleControl(throttle=0.6, steer=0.3))
     for _ in range(20):
+        before = car.angular_velocity.z
         host.tick()
-    felt = [msgpack.unpackb(imu.take()[-1][1])[0] for imu in (attached, direct)]
-    assert felt[0] == pytest.approx(felt[1])
+    felt, same, (x, y, z) = (msgpack.unpackb(imu.take()[-1][1])[0] for imu in (attached, direct, middle))
+    turning, change = radians(car.angular_velocity.z), radians(car.angular_velocity.z - before) / 0.05
+    assert felt == pytest.approx(same)
+    assert felt == pytest.approx([x - change - 2 * turning**2, y + 2 * change - turning**2, z], abs=1e-3)
 
 
 def test_a_failing_feed_does_not_fail_the_tick(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
