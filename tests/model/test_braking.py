@@ -107,15 +107,21 @@ def test_tyres_have_a_limit(deceleration: float, seconds: float, is_possible: bo
     """Also between two frames, by a tenth more: of 40 m/s² for 0.1 s, the deceleration that is smoothed is below it."""
     detector = detected({1: slowing(deceleration, seconds=seconds, speed=40)})
     (found,) = detector.finish()
-    assert detector.can_be_braking(1, found.start, found.stop) is is_possible
-    assert detector.can_be_braking(2, found.start, found.stop)  # nothing is known of it
+    assert detector.by_tyres(found) == (found if is_possible else None)
+    assert detector.by_tyres(other := found._replace(id=2)) == other  # nothing is known of it
 
 
-def test_braking_before_a_stop_that_no_brakes_can_do_counts() -> None:
-    brakes, crash = slowing(8), slowing(60, 2.0, 0.4, 30)
-    detector = detected({1: lambda time: brakes(time) + crash(time)})
-    (found,) = detector.finish()
-    assert detector.can_be_braking(1, found.start, found.stop)
+@pytest.mark.parametrize(("brakes", "crash"), [(1.0, 2.0), (1.0, 2.6), (1.0, 0.5)])
+def test_braking_beside_a_stop_that_no_brakes_can_do_counts(brakes: float, crash: float) -> None:
+    """Also within a second, from its own beginning to its own end."""
+    one, other = slowing(8, brakes), slowing(60, crash, 0.1, 30)
+    detector = detected({1: lambda time: one(time) + other(time)}, frames=80)
+    (all,) = detector.finish()
+    found = detector.by_tyres(all)
+    assert found is not None
+    assert 0.9 <= found.start <= 1.1
+    assert 1.8 <= found.stop <= 2.1
+    assert found.speed == pytest.approx(one(found.start) + other(found.start), abs=0.1)
     deceleration, time = detector.hardest(1, found.start, found.stop)
     assert 8 <= deceleration <= 34.4
     assert 1.0 <= time <= 2.0
@@ -196,6 +202,6 @@ def test_as_the_twin_has_it_in_blocks_of_any_size(
     expected = twin.braking(frames, range(1, 5), deceleration)
     assert [(each.id, each.start, each.stop) for each in found] == [each[:3] for each in expected]
     for each, (*_, hardest) in zip(found, expected, strict=True):
-        assert detector.can_be_braking(each.id, each.start, each.stop) is not math.isnan(hardest)
+        assert (detector.by_tyres(each) is None) is math.isnan(hardest)
         if not math.isnan(hardest):
             assert detector.hardest(each.id, each.start, each.stop)[0] == pytest.approx(hardest, abs=1e-5)

@@ -121,14 +121,21 @@ class BrakingDetector:
         row = rows[rows["deceleration"].argmax()]
         return round(row["deceleration"].item(), _DIGITS), row["time"].item()
 
-    def can_be_braking(self, id: int, start: float, stop: float) -> bool:
-        """Return whether a vehicle brakes hard in some elapsed seconds by its tyres; True where its frames are unknown.
+    def by_tyres(self, braking: Braking) -> Braking | None:
+        """Return hard braking from when to when tyres can do it; None if they cannot. Where its frames are unknown, all is.
 
-        The deceleration of these is at most `MAX_DECELERATION`; what is shorter than 0.3 s, by a tenth more at most
-        between any two frames.
+        The deceleration that they can do is at most `MAX_DECELERATION`; what is shorter than 0.3 s, by a tenth more at most
+        between any two frames. A collision within a second before or behind is left out by that.
         """
-        rows = self._hard_of(id, start, stop)
-        return not len(rows) or bool(self._can_be_braking(rows).any())
+        rows = self._hard_of(braking.id, braking.start, braking.stop)
+        if not len(rows):
+            return braking
+        possible = self._can_be_braking(rows)
+        if possible.all() or not possible.any():
+            return braking if possible.any() else None
+        rows = rows[possible]
+        (id, _, _, start, x, y, z, speed, _), stop = rows[rows["time"].argmin()].tolist(), rows["time"].max().item()
+        return Braking(id, start, stop, x, y, z, speed)
 
     def _hard_of(self, id: int, start: float, stop: float) -> NDArray[np.void]:
         """Return the frames of a time in which a vehicle brakes hard, after `finish`."""

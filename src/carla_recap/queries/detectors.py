@@ -301,16 +301,14 @@ class HardBrakingIncidents(Detector):
         search, deceleration = self._search, MEASURES["deceleration"]
         found = list(self._apart_from_contacts(self._detector.finish() if self._detector else self._listed or ()))
         detector = self._detector or self._looked_up(found)
-        for row, stop in found:
-            if not detector.can_be_braking(row.id, row.start, stop):
-                continue
-            span, place = (row.start, stop), place_in_metres(row.x, row.y, row.z)
+        for row in filter(None, map(detector.by_tyres, found)):
+            span, place = (row.start, row.stop), place_in_metres(row.x, row.y, row.z)
             text = f"{search.actors.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
             extreme, threshold = detector.hardest(row.id, *span), search.options.deceleration
             yield search.incident("hard braking", (row.id,), span, place, deceleration, extreme, threshold, text)
 
-    def _apart_from_contacts(self, rows: Iterable[Braking]) -> Iterator[tuple[Braking, float]]:
-        """Yield the braking of vehicles that no contact causes, and when it ends: at the latest when one begins."""
+    def _apart_from_contacts(self, rows: Iterable[Braking]) -> Iterator[Braking]:
+        """Yield the braking of vehicles that no contact causes; it ends at the latest when one begins."""
         for row in rows:
             life = self._search.actors.at(row.id, row.start)
             spans = self._search.contacts.affected(life, HALF_WINDOW) if life else []
@@ -318,12 +316,12 @@ class HardBrakingIncidents(Detector):
             stop = min(row.stop, spans[later][0]) if later < len(spans) else row.stop
             in_contact = later > 0 and row.start <= spans[later - 1][1]
             if not in_contact and life and life.kind == "vehicle":
-                yield row, stop
+                yield row._replace(stop=stop)
 
-    def _looked_up(self, found: Iterable[tuple[Braking, float]]) -> BrakingDetector:
+    def _looked_up(self, found: Iterable[Braking]) -> BrakingDetector:
         """Return a detector that has processed the frames around known hard braking."""
-        detector = BrakingDetector({row.id for row, _ in found}, self._search.options.deceleration)
-        spans = joined((row.start - _AROUND, stop + _AROUND) for row, stop in found)
+        detector = BrakingDetector({row.id for row in found}, self._search.options.deceleration)
+        spans = joined((row.start - _AROUND, row.stop + _AROUND) for row in found)
         whole = [(-math.inf, math.inf)]
         for batches in read_spans(self._search.source, spans if len(spans) <= LOOK_UPS else whole):
             for batch in batches:
