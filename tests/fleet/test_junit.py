@@ -8,7 +8,7 @@ import pytest
 from carla_recap import check, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.fleet.check import CheckedRecording
-from carla_recap.fleet.junit import junit, write_junit
+from carla_recap.fleet.junit import junit, prepare_junit, write_junit
 from carla_recap.rules.rule_sets import Verdict, make_rules
 from tests.samples import SAMPLES, names_in
 
@@ -47,6 +47,12 @@ def test_what_had_nothing_to_judge_is_said_in_the_output_of_its_test():
     verdict = Verdict("calm", "pass", "nothing to judge: it has no tram", applies=False)
     (case,) = ElementTree.fromstring(junit([CheckedRecording("a.log", (verdict,))])).iter("testcase")
     assert [(child.tag, child.text) for child in case] == [("system-out", verdict.message)]
+
+
+@pytest.mark.parametrize("there", [b"", b"<?xml version='1.0'?>", b"\xef\xbb\xbf<?xml", b"\n<testsuites/>"])
+def test_a_file_of_verdicts_is_replaced_whoever_wrote_it(there, tmp_path):
+    (tmp_path / "out.xml").write_bytes(there)
+    prepare_junit(tmp_path / "out.xml")
 
 
 def test_times_are_those_of_the_judging():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.rules.rule_sets import Verdict
 
 SUITE: Final = "carla-recap check"
-_HEAD: Final = b"<?xml"
+_HEAD: Final = re.compile(rb"(\xef\xbb\xbf)?\s*(<\?xml|<testsuite|$)")  # some tools write no declaration
 _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain
 
 
@@ -35,8 +35,8 @@ def prepare_junit(path: Path | str) -> None:
     head = b""
     if Path(path).exists():
         with writing(path), Path(path).open("rb") as file:
-            head = file.read(len(_HEAD))
-    if not _HEAD.startswith(head):
+            head = file.read(100)
+    if not _HEAD.match(head):
         raise RecapError(f"{path}: is there, and is no XML; another name was expected")
 
 

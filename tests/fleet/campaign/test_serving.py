@@ -35,7 +35,8 @@ for _ in range(20):
 """
 
 
-def test_a_script_runs_against_a_server_of_its_own(tmp_path):
+def test_a_script_runs_against_a_server_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "drive.py").write_text(SCRIPT)
     python = tmp_path / "python"
     python.write_text(f'#!/bin/sh\ntouch {tmp_path}/used\nexec {sys.executable} "$@"\n')
@@ -43,7 +44,7 @@ def test_a_script_runs_against_a_server_of_its_own(tmp_path):
     options = {"seeds": [3], "params": {"speed": [8, 9, 10]}}
     with time_limit():
         found = list(campaign(tmp_path / "drive.py", out=tmp_path / "a", jobs=2, **options))
-        list(campaign(tmp_path / "drive.py", out=tmp_path / "b", jobs=1, carla="0.9.16", python=python, **options))
+        list(campaign(tmp_path / "drive.py", out=tmp_path / "b", jobs=1, carla="0.9.16", python=python.name, **options))
     assert (tmp_path / "used").exists()
     errors = [finished.report.error for finished in found]
     assert errors == [None, "the script ends with exit code 1: no such speed", None]

@@ -72,7 +72,7 @@ class Campaign:
         scoring: How the recordings are scored; None: they get no score.
         again: Make recordings anew that were made with another function, code, town, duration or additional data.
         carla: The release of CARLA that a script is served, such as "0.9.15"; "auto": that of its client.
-        python: The interpreter of a script, as of an environment with another client; None: that of this package.
+        python: The path of a script's interpreter, as of an environment with another client; None: that of this package.
     """
 
     function: Callable[..., object] | str | Path
@@ -132,9 +132,10 @@ class Campaign:
         from carla_recap.sim import World  # noqa: F401 - which is an error here, and not in each run, without its extra
 
         is_script = isinstance(self.function, (str, os.PathLike))
+        command = (self.python or sys.executable, self.function)
         return Simulation(
             function=None if is_script else self.function,  # type: ignore[arg-type]
-            script=(os.fspath(self.python or sys.executable), os.path.abspath(self.function)) if is_script else None,  # type: ignore[arg-type]  # noqa: PTH100
+            script=tuple(map(os.path.abspath, command)) if is_script else None,  # type: ignore[arg-type]
             measure=partial(measured, scoring=self.scoring),
             staging=staging,
             date=seeded_date() if self.date is None else self.date,
