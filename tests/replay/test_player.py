@@ -205,7 +205,7 @@ def test_start_and_duration(drive: Recording) -> None:
     assert player.tick(1.0) is None
 
 
-@pytest.mark.parametrize(("start", "expected"), [(-2.5, 7.5), (-10, 0), (-99, 0), (10, 10), (10.00001, 10)])
+@pytest.mark.parametrize(("start", "expected"), [(-2.5, 7.5), (-10, 0), (-99, 0), (10, 10), (10.00505, 10)])
 def test_start_from_the_end(drive: Recording, start: float, expected: float) -> None:
     player = Player(drive, start=start, duration=99)
     assert (player.start, player.stop) == (expected, 10)
@@ -214,7 +214,7 @@ def test_start_from_the_end(drive: Recording, start: float, expected: float) -> 
     assert len({scene.time for scene in scenes}) == len(scenes)
 
 
-@pytest.mark.parametrize("start", [10.1, 1e300, math.inf, math.nan])
+@pytest.mark.parametrize("start", [10.01, 1e300, math.inf, math.nan])
 def test_start_outside_the_recording(drive: Recording, start: float) -> None:
     with pytest.raises(RecapError, match=r"nothing at .* s; the recording ends at 10 s"):
         Player(drive, start=start)

@@ -36,6 +36,7 @@ FAST: Final = 2.0
 """From this time factor on nothing is interpolated, as in CARLA."""
 
 _PRINTED: Final = 1e-5  # relative tolerance of times after the end, which is printed with six digits
+_ROUNDED: Final = 0.005  # s by which times in texts, with two decimals, may be after the end
 
 
 class Played(NamedTuple):
@@ -287,7 +288,7 @@ class Player:
             return max(0.0, self.total + time)
         if time <= self.total:
             return time
-        if time <= self.total * (1 + _PRINTED):
+        if time <= self.total * (1 + _PRINTED) + _ROUNDED:
             return self.total
         raise RecapError(f"{self.reader.location}: nothing at {time:g} s; the recording ends at {self.total:g} s")
 
