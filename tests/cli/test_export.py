@@ -10,8 +10,11 @@ import urllib.request
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.cli.opening import printed
+from carla_recap.model.frame import LAST_FRAME_DURATION
 from carla_recap.output.text import local_date
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, run, the_line, wrote
+from tests.queries.conftest import write
 from tests.roads.towns import town
 from tests.samples import ROOT, carla_log, reading
 from tests.waiting import PATIENCE
@@ -140,6 +143,13 @@ def test_clips_need_no_rerun(tmp_path, option):
 
 
 # --- pictures, the page, the viewer ----------------------------------------------------------------------------
+
+
+def test_a_picture_at_a_time_of_a_text_is_of_the_frame_whose_time_it_rounds(tmp_path):
+    path = write(tmp_path / "out.log", [{}] * 4, durations=[0.86, 0.0042, 0.5, LAST_FRAME_DURATION])
+    with reading(path) as reader:
+        found = [printed(reader, time) for time in (0.86, 1.36, 1.361, -1.0)]
+    assert found == pytest.approx([0.86, 1.3642, 1.361, -1.0])
 
 
 def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):

@@ -270,6 +270,7 @@ def snapshot(
 
     source, time = opening.moment(source, at)
     with open_recording(source) as recording:
+        time = opening.printed(recording.reader, time)
         town = partial(opening.town_of, recording, road_map, time, opening.MOMENT)
         run(recording, destination, at=time, town=town, incidents=options.shown_incidents(kinds, road_map), **shown)
     wrote(destination, f"a picture at {number(time)} s", time=time)

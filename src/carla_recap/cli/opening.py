@@ -76,6 +76,17 @@ def moment(source: str, time: float | None) -> tuple[str, float]:
     return location, times.start if time is None and times is not None else time or 0.0
 
 
+def printed(reader: Reader, time: float) -> float:
+    """Return the time of the next frame if a time is what texts say of that, rounded, and there is no frame at it."""
+    from carla_recap.model.frame import SAME_TIME
+    from carla_recap.replay.player import ROUNDED
+
+    found, later = reader.frame_at(time), reader.frame_at(time + ROUNDED)
+    is_frame = found is not None and abs(found.elapsed - time) <= SAME_TIME
+    is_next = later is not None and time < later.elapsed and round(later.elapsed, 2) == time
+    return later.elapsed if later is not None and is_next and not is_frame else time
+
+
 def _split(source: str) -> tuple[str, TimeFragment | None]:
     """Return a source without the times at its end, and these, if it has any."""
     from carla_recap.errors import RecapError

@@ -36,7 +36,8 @@ FAST: Final = 2.0
 """From this time factor on nothing is interpolated, as in CARLA."""
 
 _PRINTED: Final = 1e-5  # relative tolerance of times after the end, which is printed with six digits
-_ROUNDED: Final = 0.005  # s by which times in texts, with two decimals, may be after the end
+ROUNDED: Final = 0.005
+"""The seconds by which times in texts, which have two decimals, may be beside what they mean."""
 
 
 class Played(NamedTuple):
@@ -288,7 +289,7 @@ class Player:
             return max(0.0, self.total + time)
         if time <= self.total:
             return time
-        if time <= self.total * (1 + _PRINTED) + _ROUNDED:
+        if time <= self.total * (1 + _PRINTED) + ROUNDED:
             return self.total
         raise RecapError(f"{self.reader.location}: nothing at {time:g} s; the recording ends at {self.total:g} s")
 
