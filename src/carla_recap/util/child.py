@@ -185,13 +185,14 @@ def answer_requests(prepare: Callable[[Any], Callable[[Any], Callable[[], Any]]]
             returns what waits for the answer, or makes it. All requests that have come are begun before that.
     """
     ignore_termination()  # the process ends when its parent does
+    parent = os.getppid()
     descriptors = [int(argument) for argument in sys.argv[1:]]
     connection, memories = Connection(descriptors[0]), [_SharedMemory(each) for each in descriptors[1:]]
     with suppress(EOFError, OSError):  # the parent has gone
         begun: deque[Any] = deque()
         begin: Any = None
         for memory in cycle(memories):
-            while len(begun) < len(memories) and _has_request(connection, waits=not begun):
+            while len(begun) < len(memories) and _has_request(connection, parent, waits=not begun):
                 if begin is None:
                     begin = _attempted(prepare, connection.recv())
                     begun.append(begin if isinstance(begin, Exception) else _nothing)
@@ -227,9 +228,8 @@ def _send(connection: Connection, memory: _SharedMemory, answer: Any) -> None:
     connection.send((data, sizes))
 
 
-def _has_request(connection: Connection, *, waits: bool) -> bool:
+def _has_request(connection: Connection, parent: int, *, waits: bool) -> bool:
     """Return whether there is a request, or the end of the connection; wait for it while the parent is there."""
-    parent = os.getppid()
     while not connection.poll(_PARENT_CHECK if waits else 0.0):
         if not waits or os.getppid() != parent:  # other processes that it has forked may hold the connection open
             return False
