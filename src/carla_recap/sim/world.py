@@ -69,7 +69,7 @@ class World:
         signals: All traffic lights, as arrays.
         traffic_lights: All traffic lights; light i is row i of `signals`.
         spectator: The spectator.
-        controllers: What acts at the beginning of each tick, after the traffic.
+        controllers: What acts at the beginning of each tick, after the traffic and before a replay.
         listeners: What is called at the end of each tick.
         recordings: The folder of recordings, if one was given.
         maps: The folder of maps, if one was given.
@@ -106,7 +106,7 @@ class World:
         texts = {name: str(value) for name, value in (parameters or {}).items()}
         self.recorder = WorldRecorder(self.episode, recordings, date, texts)
         self.replayer = Replayer(self.episode, self.maps)
-        self.controllers: list[Controller] = [self.replayer]
+        self.controllers: list[Controller] = []
         self.listeners: list[Callable[[], None]] = [self.recorder]  # what other listeners do belongs to the next tick
 
     def _begin(self, number: int, town: Town, delta: float) -> None:
@@ -262,7 +262,7 @@ class World:
         expect_seconds("a tick", delta)
         episode = self.episode
         delta = episode.clock.delta = float(delta)
-        for controller in (self._traffic, *self.controllers):
+        for controller in (self._traffic, *self.controllers, self.replayer):  # replayed actors have the recorded controls
             self._act(controller, controller.step, delta)
         episode.signals.step(delta)
         collisions = self._motion.advance(delta)

@@ -340,6 +340,22 @@ def test_an_actor_of_the_same_id_and_blueprint_is_moved_and_others_are_not(drive
     assert wrong.transform.location.x == 510
 
 
+def test_what_drives_a_vehicle_does_not_change_its_recorded_controls(tmp_path: Path) -> None:
+    class Braking:
+        def step(self, delta: float) -> None:
+            car.apply_control(VehicleControl(brake=1.0))
+
+    world = flat_world()
+    car = spawn_car(world, at(10.0))
+    car.apply_control(VehicleControl(throttle=0.25))
+    world.start_recorder(tmp_path / "throttle.mcap")
+    world.run(0.5)
+    world.stop_recorder()
+    world.controllers.append(Braking())
+    play(world, tmp_path / "throttle.mcap", 3)
+    assert (car.control.throttle, car.control.brake) == (0.25, 0.0)
+
+
 def recording_of_vehicles(path: Path, *ids: int) -> Path:
     """Write a recording of parked cars with some ids."""
     with carla_recap.create_recording(path, map_name="Flat", date=0) as recording:
