@@ -6,15 +6,21 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from threading import Barrier
 from typing import TYPE_CHECKING
 
 import psutil
 
-from tests.waiting import wait_until
+from carla_recap.util import child as child_module
+from carla_recap.util.child import started_ahead
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import pytest
 
 CHILD = """
 import os, pathlib, time
@@ -63,3 +69,24 @@ def _is_running(pid: int) -> bool:
     with suppress(psutil.NoSuchProcess):
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     return False
+
+
+def test_threads_that_start_the_same_child_ahead_leave_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    class FakeChild:
+        def __init__(self, *_: object) -> None:
+            open_ones.add(self)
+            both.wait()
+
+        def close(self) -> None:
+            open_ones.remove(self)
+
+    def start(_: int) -> None:
+        with started_ahead(("module", "answers", 1)):
+            both.wait()
+
+    open_ones: set[FakeChild] = set()
+    both = Barrier(2, timeout=PATIENCE)
+    monkeypatch.setattr(child_module, "Child", FakeChild)
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(start, range(2)))
+    assert open_ones == set()

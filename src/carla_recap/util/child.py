@@ -125,13 +125,15 @@ def started_ahead(*kinds: tuple[str, str, int]) -> Iterator[None]:
     for kind in kinds:
         if kind not in _ahead:
             with suppress(RecapError):  # it is tried again
-                _ahead[kind] = Child(*kind)
+                child = Child(*kind)
+                if _ahead.setdefault(kind, child) is not child:  # another thread has been faster
+                    child.close()
     try:
         yield
     finally:
         for kind in kinds:
-            if kind in _ahead:
-                _ahead.pop(kind).close()
+            if left := _ahead.pop(kind, None):
+                left.close()
 
 
 def new_child(*kind: *tuple[str, str, int]) -> Child:
