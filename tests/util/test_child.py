@@ -48,6 +48,25 @@ while not pathlib.Path(sys.argv[1]).exists():
 print(child.process.pid, other, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
+KILLED = """
+import signal
+from carla_recap.util.child import Child, ChildEnded
+
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as on the command line
+child = Child("answering", "answers", 2)
+child.process.kill()
+child.process.wait()
+child.send(None)
+try:
+    child.receive()
+except ChildEnded as error:
+    print(error)
+"""
+
+
+def test_a_request_to_a_child_that_has_ended_does_not_end_its_parent() -> None:
+    parent = subprocess.run([sys.executable, "-c", KILLED], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout == "the process that answers has ended with exit code -9\n"
 
 
 def test_a_child_whose_parent_dies_during_a_request_ends_though_others_hold_its_connection(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.util.processes import module_command, module_environment, wait_or_kill
-from carla_recap.util.signals import ignore_termination
+from carla_recap.util.signals import broken_pipes_are_errors, ignore_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -78,7 +78,7 @@ class Child:
 
     def send(self, request: Any) -> None:
         """Send a request; if the process has ended, that is found when the answer is received."""
-        with suppress(OSError):
+        with suppress(OSError), broken_pipes_are_errors():
             self._connection.send(request)
 
     def receive(self) -> Any:

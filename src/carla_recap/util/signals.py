@@ -125,5 +125,18 @@ def unwind_on_termination() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+@contextmanager
+def broken_pipes_are_errors() -> Iterator[None]:
+    """Make writing to a process that has ended an `OSError` in a `with` block, in any thread, where it may end this one."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
+    try:
+        yield
+    finally:
+        if signal.SIGPIPE not in before:
+            if signal.SIGPIPE in signal.sigpending():
+                signal.sigwait({signal.SIGPIPE})
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _exit(number: int, _: FrameType | None) -> None:
     sys.exit(128 + number)
