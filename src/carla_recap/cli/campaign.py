@@ -44,7 +44,7 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
 @options.carla
 @click.option(
     "--python",
-    type=click.Path(exists=True, dir_okay=False),
+    type=click.Path(exists=True, dir_okay=False, executable=True),
     metavar="PATH",
     help="The interpreter of SCRIPT.py, such as that of an environment with another client; else this one.",
 )
