@@ -90,13 +90,13 @@ def _is_running(pid: int) -> bool:
     return False
 
 
-def test_threads_that_start_the_same_child_ahead_leave_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_children_that_threads_start_ahead_and_do_not_use_are_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     class FakeChild:
         def __init__(self, *_: object) -> None:
             open_ones.add(self)
             both.wait()
 
-        def close(self) -> None:
+        def kill(self) -> None:
             open_ones.remove(self)
 
     def start(_: int) -> None:

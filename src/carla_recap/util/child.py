@@ -110,6 +110,11 @@ class Child:
         wait_or_kill(self.process, _END_PATIENCE)
         self._release()
 
+    def kill(self) -> None:
+        """End the process without waiting until it has started or answered."""
+        self.process.kill()
+        self.close()
+
     def _release(self) -> None:
         self._connection.close()
         for memory in self._memories:
@@ -127,13 +132,13 @@ def started_ahead(*kinds: tuple[str, str, int]) -> Iterator[None]:
             with suppress(RecapError):  # it is tried again
                 child = Child(*kind)
                 if _ahead.setdefault(kind, child) is not child:  # another thread has been faster
-                    child.close()
+                    child.kill()
     try:
         yield
     finally:
         for kind in kinds:
             if left := _ahead.pop(kind, None):
-                left.close()
+                left.kill()
 
 
 def new_child(*kind: *tuple[str, str, int]) -> Child:
