@@ -87,13 +87,13 @@ class ImageBuffers:
             self._framebuffers[kinds] = self._context.framebuffer(textures, self._depth)
         return self._framebuffers[kinds]
 
-    def read(self, kinds: tuple[ImageKind, ...], into: Images | None) -> Images:
+    def read(self, kinds: tuple[ImageKind, ...]) -> Images:
         """Return the images; see `Renderer.draw`."""
         framebuffer = self.framebuffer(kinds)
         images: Images = {}
         for index, kind in enumerate(kinds):
             shape, dtype = image_format(kind, *self.size)
-            image = np.empty(shape, dtype) if into is None else into[kind]
+            image = np.empty(shape, dtype)
             framebuffer.read_into(
                 image, components=shape[2], attachment=index, alignment=1, dtype="f4" if dtype == np.float32 else "f1"
             )

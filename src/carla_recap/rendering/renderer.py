@@ -142,7 +142,6 @@ class Renderer:
         previous: tuple[Camera, Instances | None] | None = None,
         *,
         without: Collection[int] = (),
-        into: Images | None = None,
     ) -> Images:
         """Draw images of a moment.
 
@@ -153,7 +152,6 @@ class Renderer:
             sky: The weather; by default, a clear day.
             previous: The camera and the actors of the previous image, for optical flow; None: nothing moves.
             without: The ids of actors to leave out.
-            into: An array to write to for each kind; by default, new ones are made.
 
         Returns:
             The images by kind; see `ImageKind`.
@@ -164,7 +162,7 @@ class Renderer:
         kinds = tuple(kind for kind in ImageKind if kind in kinds)
         check_size(camera)
         with self._context:
-            return self._draw(valid_camera(camera), instances, kinds, sky or Sky(), previous, without, into)
+            return self._draw(valid_camera(camera), instances, kinds, sky or Sky(), previous, without)
 
     def _draw(
         self,
@@ -174,7 +172,6 @@ class Renderer:
         sky: Sky,
         previous: tuple[Camera, Instances | None] | None,
         without: Collection[int],
-        into: Images | None,
     ) -> Images:
         """Draw images of a moment; see `draw`."""
         targets = self._targets_of(camera.width, camera.height)
@@ -199,7 +196,7 @@ class Renderer:
             self._reduce(large, targets, samples)
         if rest:
             self._draw_kinds(targets, rest, view, groups, halos)
-        return targets.read(kinds, into)
+        return targets.read(kinds)
 
     def _draw_kinds(
         self,
