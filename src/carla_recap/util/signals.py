@@ -128,6 +128,9 @@ def unwind_on_termination() -> Iterator[None]:
 @contextmanager
 def broken_pipes_are_errors() -> Iterator[None]:
     """Make writing to a process that has ended an `OSError` in a `with` block, in any thread, where it may end this one."""
+    if not hasattr(signal, "SIGPIPE"):
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
     try:
         yield

@@ -589,6 +589,19 @@ def test_a_signal_to_the_whole_group_completes_the_recording(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
 
 
+def test_a_writer_that_is_killed_does_not_end_a_command(tmp_path: Path) -> None:
+    end = """
+        import signal
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # as on the command line
+        os.kill(world.recorder._writer.pid, 9)
+        world.run(12.0)
+        world.stop_recorder()
+    """
+    done = subprocess.run(command(killed(end), tmp_path / "a.mcap"), stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0
+    assert "the process that writes it has ended with exit code -9" in done.stderr
+
+
 def test_what_else_is_printed_when_an_interpreter_starts_is_passed_over(tmp_path: Path) -> None:
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "sitecustomize.py").write_text("print('hello')")

@@ -24,7 +24,7 @@ from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer
 from carla_recap.sim.errors import DestinationError
 from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
-from carla_recap.util.signals import ignore_termination
+from carla_recap.util.signals import broken_pipes_are_errors, ignore_termination
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -158,8 +158,9 @@ class WriterProcess(RecordingWriter):
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
-            self._process.stdin.write(command)
-            self._process.stdin.flush()
+            with broken_pipes_are_errors():
+                self._process.stdin.write(command)
+                self._process.stdin.flush()
             error = pickle.load(self._process.stdout)
         except Exception:
             self._end()
@@ -170,10 +171,11 @@ class WriterProcess(RecordingWriter):
 
     def _end(self) -> None:
         """End the process, which completes the recording before."""
-        with suppress(OSError, ValueError):
-            assert self._process.stdin is not None
-            self._process.stdin.write(pickle.dumps(None))  # a forked process may hold the pipe open
-        close_pipes(self._process)
+        with broken_pipes_are_errors():
+            with suppress(OSError, ValueError):
+                assert self._process.stdin is not None
+                self._process.stdin.write(pickle.dumps(None))  # a forked process may hold the pipe open
+            close_pipes(self._process)
         wait_or_kill(self._process, _PATIENCE)
 
 
