@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from threading import Barrier
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import psutil
 
@@ -88,6 +89,15 @@ def _is_running(pid: int) -> bool:
     with suppress(psutil.NoSuchProcess):
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     return False
+
+
+def test_a_forked_process_has_no_child_of_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(child_module, "Child", lambda *_: Mock())
+    with started_ahead(("module", "answers", 1)):
+        fork = os.fork()
+        if not fork:
+            os._exit(len(child_module._ahead))
+        assert os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1]) == 0
 
 
 def test_children_that_threads_start_ahead_and_do_not_use_are_killed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -122,6 +122,8 @@ class Child:
 
 
 _ahead: dict[tuple[str, str, int], Child] = {}
+if os.name == "posix":
+    os.register_at_fork(after_in_child=_ahead.clear)  # they answer to one process
 
 
 @contextmanager
