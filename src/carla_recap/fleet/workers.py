@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.outcomes import Outcome, outcome_of
-from carla_recap.util.signals import TERMINATION, hold_termination
+from carla_recap.util.signals import TERMINATION, broken_pipes_are_errors, hold_termination
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -88,7 +88,7 @@ class _Worker(Generic[T]):
         """Give tasks to the worker, which has none. If it has ended, that is found when its outcomes are received."""
         self.tasks.extend(tasks)
         self._given = monotonic()
-        with suppress(OSError), _broken_pipes_are_errors():
+        with suppress(OSError), broken_pipes_are_errors():
             self.connection.send([task.source for task in self.tasks])
 
     def receive(self) -> list[tuple[_Task, Outcome[T]]]:
@@ -287,24 +287,6 @@ def _may_have_children() -> Iterator[None]:
         yield
     finally:
         process.daemon = is_daemon
-
-
-@contextmanager
-def _broken_pipes_are_errors() -> Iterator[None]:
-    """Make writing to a process that has ended an `OSError` in a `with` block, where it would end this process."""
-    number = getattr(signal, "SIGPIPE", None)
-    if (
-        number is None
-        or threading.current_thread() is not threading.main_thread()
-        or signal.getsignal(number) is not signal.SIG_DFL
-    ):
-        yield
-        return
-    signal.signal(number, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(number, signal.SIG_DFL)
 
 
 def _serve(connection: Connection, function: Callable[[SourceFile], T], is_limited: bool) -> None:
