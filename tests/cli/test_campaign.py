@@ -7,6 +7,7 @@ import io
 import json
 import re
 import signal
+import sys
 from pathlib import Path
 from subprocess import PIPE, Popen
 
@@ -134,7 +135,7 @@ def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
         ([f"{FILE}:drive", "--route-id", "1"], "--route-id goes with --route"),
         ([f"{FILE}:drive", "--route", "gone.xml"], "gone.xml"),
         (["--serve", "gone.py"], "gone.py: is no file"),
-        ([f"{FILE}:drive", "--python", FILE], "--python goes with --serve"),
+        ([f"{FILE}:drive", "--python", sys.executable], "--python goes with --serve"),
         ([f"{FILE}:drive", "--report", FILE], "is a file; a folder was expected"),
     ],
 )
