@@ -37,7 +37,7 @@ def prepare_junit(path: Path | str) -> None:
         with writing(path), Path(path).open("rb") as file:
             head = file.read(100)
     if not _HEAD.match(head):
-        raise RecapError(f"{path}: is there, and is no XML; another name was expected")
+        raise RecapError(f"{path}: is there, and is no XML; expected another name")
 
 
 def write_junit(checked: Sequence[CheckedRecording], path: Path | str, *, suite: str = SUITE) -> None:

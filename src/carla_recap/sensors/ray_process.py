@@ -23,8 +23,12 @@ if TYPE_CHECKING:
 
     Points = dict[str, NDArray[np.void]]
 
-RAYS: Final = ("carla_recap.sensors.ray_sensors", "casts rays", 4)
-"""The arguments of the `Child` that casts rays. More moments than the three that images are drawn ahead."""
+MOMENTS_AHEAD: Final = 3
+"""The number of moments that are drawn, and whose rays are cast, while the one before them is used, at most."""
+MAX_STEP: Final = 10.0
+"""The longest time between two samples for which rays are cast, in s."""
+RAYS: Final = ("carla_recap.sensors.ray_sensors", "casts rays", MOMENTS_AHEAD + 1)
+"""The arguments of the `Child` that casts rays."""
 RAY_KINDS: Final = {"lidar", "semantic_lidar", "radar"}
 """The kinds of sensors that cast rays."""
 

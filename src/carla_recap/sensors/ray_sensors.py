@@ -13,6 +13,7 @@ from carla_recap.rendering.rays import RayScene, SurfaceHits
 from carla_recap.replay.pose import LOCATION, MIRROR, rotations
 from carla_recap.scene.models import MODELS
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
+from carla_recap.sensors.ray_process import MAX_STEP
 from carla_recap.util.child import answer_requests
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ SEMANTIC_POINT: Final = np.dtype(
 """A point of a semantic lidar: x forward, y left, z up in m; the cosine of the incident angle; the actor or 0; the tag."""
 DETECTION: Final = np.dtype([("velocity", "<f4"), ("azimuth", "<f4"), ("altitude", "<f4"), ("depth", "<f4")])
 """A detection of a radar: velocity in m/s, positive away; angles to the left and upwards in radians; depth in m."""
-_LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 _RAYS_OF_A_PART: Final = 1 << 16  # cast by one thread at a time
 _MOST_THREADS: Final = 3  # that cast rays; more wait for Python's lock
 
@@ -89,7 +89,7 @@ class _RaySensor(ABC):
 
     def rays(self, moment: RayMoment) -> Floats:
         """Return the directions of the rays in its axes, CARLA's, (n, 3)."""
-        return self.beams.rays(min(max(moment.step, self._interval), _LONGEST))
+        return self.beams.rays(min(max(moment.step, self._interval), MAX_STEP))
 
     @abstractmethod
     def measure(self, moment: RayMoment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:

@@ -34,7 +34,7 @@ from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
 from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, acceleration_at, geo_reference
-from carla_recap.sensors.ray_process import RAY_KINDS, RayMoment, RayProcess, processes_for
+from carla_recap.sensors.ray_process import MAX_STEP, MOMENTS_AHEAD, RAY_KINDS, RayMoment, RayProcess, processes_for
 from carla_recap.util.child import started_ahead
 
 if TYPE_CHECKING:
@@ -63,10 +63,8 @@ FIX: Final = np.dtype([("latitude", "<f8"), ("longitude", "<f8"), ("altitude", "
 INERTIA: Final = np.dtype([("acceleration", "<f8", (3,)), ("angular_velocity", "<f8", (3,)), ("compass", "<f8")])
 """What an IMU measures: acceleration with gravity in m/s², angular velocity in rad/s, radians clockwise from north."""
 
-_AHEAD: Final = 3  # moments whose images are drawn while the one before is used, at most
 _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
 _USUAL_STEP: Final = 0.05  # s between two frames
-_LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +288,7 @@ class _Sensing:
             waiting: deque[Callable[[], SensedFrame]] = deque()
             before = None
             sizes = [int(spec.number("image_size_x") * spec.number("image_size_y")) for spec in self._rig if spec.image]
-            ahead = min(_AHEAD, _PIXELS_AHEAD // max(sum(sizes), 1))
+            ahead = min(MOMENTS_AHEAD, _PIXELS_AHEAD // max(sum(sizes), 1))
             scenes: Iterable[Scene] = self._player.scenes(self._rate)
             for scene in progress(scenes, self._player) if progress else scenes:
                 waiting.append(self._begin(scene, before))
@@ -387,7 +385,7 @@ class _Sensing:
         if self._rate is not None:
             return 1 / self._rate
         step = scene.frame.duration  # -1 in the last frame
-        return step if 0 < step < _LONGEST else _USUAL_STEP
+        return step if 0 < step < MAX_STEP else _USUAL_STEP
 
     def _motion_of(self, carrier: int) -> CarrierMotion:
         if carrier not in self._motions:

@@ -54,7 +54,7 @@ class Child:
 
     def __init__(self, module: str, does: str, most: int) -> None:
         if os.name != "posix":
-            raise RecapError("cameras and videos need Linux or macOS")
+            raise RecapError(f"the process that {does} needs Linux or macOS")
         self._does = does
         self._memories = [_SharedMemory(_create_memory()) for _ in range(most)]
         self._received = 0
@@ -144,7 +144,7 @@ def started_ahead(*kinds: tuple[str, str, int]) -> Iterator[None]:
 
 
 def new_child(*kind: *tuple[str, str, int]) -> Child:
-    """Return a child, given its arguments: the one that was started ahead, if there is one."""
+    """Return a child, given its arguments: that started ahead, or a new one."""
     return _ahead.pop(kind, None) or Child(*kind)
 
 

@@ -131,7 +131,7 @@ def check_name(name: str) -> None:
         expected = f"a name of letters, digits and _, of at most {_LONGEST_NAME}, was expected"
         raise RecapError(f"parameter {name[:60]!r}: {expected}")
     if name in _RESERVED:
-        raise RecapError(f"parameter {name}: has a meaning of its own; another name was expected")
+        raise RecapError(f"parameter {name}: has a meaning of its own; expected another name")
 
 
 def check_keywords(keywords: Keywords | None, names: Sequence[str]) -> None:

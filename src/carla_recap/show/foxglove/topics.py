@@ -19,7 +19,7 @@ from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import EventText, Level, PlayedIncidents, incident_lines
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
-from carla_recap.scene.lanes import incident_lanes, verdict_lanes
+from carla_recap.scene.state_lanes import incident_lanes, verdict_lanes
 from carla_recap.show.foxglove import actor_entities, bodies, followed
 from carla_recap.show.foxglove.ground import MAP, MARKS, map_message, mark_messages, town_around
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, ShownScenes, single, timestamps
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.follow import FollowedSeries
-    from carla_recap.scene.lanes import StateLane
+    from carla_recap.scene.state_lanes import StateLane
     from carla_recap.show.foxglove.messages import Times, TopicMessages
     from carla_recap.town.mesh import TownMesh
     from carla_recap.util.arrays import Floats, Indices

@@ -17,9 +17,9 @@ from carla_recap.scene import style
 from carla_recap.scene.ahead import NO_LIGHT
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.captions import EventText, Level, incident_lines
-from carla_recap.scene.lanes import NO_COLOR, NONE, incident_lanes, verdict_lanes
 from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.materials import SIGNAL_LAMPS
+from carla_recap.scene.state_lanes import NO_COLOR, NONE, incident_lanes, verdict_lanes
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.meshes import circle, model_mesh
 from carla_recap.show.rerun.stream import HeldRows, TimeColumns
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedRecords
-    from carla_recap.scene.lanes import StateLane
     from carla_recap.scene.materials import Color
+    from carla_recap.scene.state_lanes import StateLane
     from carla_recap.show.rerun.stream import Stream, TimePoint
     from carla_recap.util.arrays import Floats
 

@@ -8,7 +8,7 @@ import pytest
 from carla_recap import Verdict
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.incidents import Incident
-from carla_recap.scene.lanes import incident_lanes, verdict_lanes
+from carla_recap.scene.state_lanes import incident_lanes, verdict_lanes
 
 ELAPSED = np.array([10.0, 10.1, 10.2, 10.3, 10.4])
 
