@@ -10,21 +10,7 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks import (
-    campaigns,
-    core,
-    exports,
-    fleet,
-    measures,
-    page,
-    remote,
-    rendering,
-    roads,
-    scores,
-    sense,
-    server,
-    simulator,
-)
+from benchmarks import core, exports, fleet, page, rendering, scores, server, simulator
 from benchmarks.hour import FRAMES, cached
 from benchmarks.measuring import Missing, Subject, in_new_process, measure
 from benchmarks.results import RESULTS, Result, current_conditions, load, save
@@ -40,15 +26,10 @@ REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
 ROWS = (
     *core.ROWS,
     *fleet.ROWS,
-    *campaigns.ROWS,
-    *remote.ROWS,
     *exports.ROWS,
     *rendering.ROWS,
-    *sense.ROWS,
     *simulator.ROWS,
     *server.ROWS,
-    *roads.ROWS,
-    *measures.ROWS,
     *scores.ROWS,
 )
 WIDTHS = (46, 18, 18, 18, 8)

@@ -11,6 +11,7 @@ import mmap
 import re
 import struct
 import sys
+import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -18,8 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 import carla_recap
-from benchmarks import lively as lively_log
-from benchmarks.hour import DIRECTORY, RATE, cached
+from benchmarks.hour import DIRECTORY, RATE
 from benchmarks.measuring import COMMAND, Line, Subject, best, convert, cpu_time, cut, medians, run, timed
 
 if TYPE_CHECKING:
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.info import Info
+    from carla_recap.queries.measures.road import RoadEvent
 
     Query = Callable[[Reader], Collisions | Blocked | Info]
-    Use = Callable[[Recording], object]
 
 TRAJECTORIES: Final = (
     "import sys; from carla_recap import open_recording; r = open_recording(sys.argv[1]); "
@@ -46,8 +46,12 @@ open_recording(sys.argv[1]).diff(open_recording(sys.argv[2])).summary
 STARTED: Final = 0.3  # s, for the start of such a process
 NUMBER: Final = re.compile(r"(?<!\w)-?(?:\d+(?:\.\d+)?(?:e[+-]\d+)?|nan|inf)\b")
 SMALL: Final = 10 * RATE  # frames of a small recording
-RESTLESS_FRAMES: Final = 5000
-NOISE: Final = 1.1  # between measurements of the same code
+QUERIES: Final[dict[str, Callable[[Recording], object]]] = {
+    "collisions": lambda recording: list(recording.collisions()),
+    "blocked": lambda recording: list(recording.blocked()),
+    "incidents": lambda recording: list(recording.incidents()),
+    "info": lambda recording: recording.info,
+}
 
 
 def log_to_mcap(subject: Subject) -> Iterator[Line]:
@@ -60,18 +64,6 @@ def mcap_to_log(subject: Subject) -> Iterator[Line]:
     equal = filecmp.cmp(subject.log, back, shallow=False)
     yield Line(".log → .mcap → .log", f"{back.stat().st_size:,} bytes", "", "equal", equal)
     back.unlink()
-
-
-def lively(subject: Subject) -> Iterator[Line]:
-    """A log in which actors come, go and collide; as long as the recording, at most."""
-    count = min(subject.frames, lively_log.FRAMES)
-    log, back = lively_log.cached(count), DIRECTORY / "back.log"
-    mcap = log.with_suffix(".mcap")
-    yield from _conversion("lively, .log → .mcap", count / RATE, log, mcap, 450)
-    yield from _conversion("lively, .mcap → .log", count / RATE, mcap, back, 450)
-    equal = filecmp.cmp(log, back, shallow=False)
-    back.unlink()
-    yield Line("lively, .log → .mcap → .log", "", "", "equal", equal)
 
 
 def size(subject: Subject) -> Iterator[Line]:
@@ -119,7 +111,7 @@ def blocked(subject: Subject) -> Iterator[Line]:
 
 def incidents(subject: Subject) -> Iterator[Line]:
     for name, path in subject.both:
-        each = min(timed(partial(_use, _incidents, path)) for _ in range(3)) / subject.frames * 1e6
+        each = min(timed(partial(_use, QUERIES["incidents"], path)) for _ in range(3)) / subject.frames * 1e6
         total = f"{each * subject.frames / 1e6:.2f} s"
         yield Line(f"incidents, {name}", total, f"{each:.1f} µs a frame", "≤ 20 µs a frame", each <= 20)
 
@@ -187,123 +179,54 @@ def start(subject: Subject) -> Iterator[Line]:
         yield Line(f"carla-recap {what}", f"{seconds * 1e3:.0f} ms", f"{ratio:.2f} x numpy", "≤ 1.3 x", ratio <= 1.3)
 
 
-def restless(subject: Subject) -> Iterator[Line]:
-    """A log in which each frame has another number of records than the one before.
-
-    Processor times are compared with that of a bare loop over the packet headers of the log, and this ratio with `BEFORE`.
-    """
-    log = cached(RESTLESS_FRAMES, restless=True)
-    mcap, back = log.with_suffix(".mcap"), DIRECTORY / "back.log"
-    works = {".log → .mcap": partial(_convert, log, mcap), ".mcap → .log": partial(_convert, mcap, back)}
-    for name, use in USES.items():
-        for path in (log, mcap):
-            if f"{name}, {path.suffix}" in BEFORE:
-                works[f"{name}, {path.suffix}"] = partial(_use, use, path)
-    loop = partial(loop_over_headers, log, _header_size(log))
-    for name, work in works.items():
-        rounds = [(cpu_time(work), cpu_time(loop)) for _ in range(2)]
-        taken, bare = map(min, zip(*rounds, strict=True))
-        ratio, goal = taken / bare, BEFORE[name] * NOISE
-        measured = f"{taken / RESTLESS_FRAMES * 1e6:.1f} µs a frame"
-        yield Line(f"restless, {name}", measured, f"{ratio:.1f} x bare loop", f"≤ {goal:.3g} x", ratio <= goal)
-    equal = filecmp.cmp(log, back, shallow=False)
-    back.unlink()
-    yield Line("restless, .log → .mcap → .log", "", "", "equal", equal)
-
-
 def real(subject: Subject) -> Iterator[Line]:
-    """A recording of CARLA itself, which is short: a large share of these times does not depend on its length."""
-    if not subject.real:
-        return
+    """A recording of CARLA itself, in which most actors do not move."""
+    if subject.real:
+        mcap = DIRECTORY / "real.mcap"
+        convert(subject.real, mcap)
+        yield _size("CARLA's own", subject.real, mcap, 0.08)
+
+
+def of_hero(subject: Subject) -> Iterator[Line]:
+    """The measures of the hero against all."""
+    yield _asked("measures of the hero", subject, lambda recording: recording.measures("hero"), 12.0)
+
+
+def near_misses(subject: Subject) -> Iterator[Line]:
+    """The near misses of all pairs; the paths of the hour's vehicles cross without any rules."""
+    yield _asked("near misses of all", subject, lambda recording: recording.incidents(kinds=["near miss"]), 12.0)
+
+
+def rules(subject: Subject) -> Iterator[Line]:
+    """What vehicles do in relation to the road in the hour, whose vehicles drive across the roads of the built-in town."""
+    yield _asked("rules of the road", subject, lambda recording: broken_rules(recording.reader), 15.0)
+
+
+def remote(subject: Subject) -> Iterator[Line]:
+    """Queries of a recording on a web server of this machine, each of whose answers takes 50 ms."""
     from carla_recap import open_recording
+    from tests.web import serve
 
-    mcap, back = DIRECTORY / "real.mcap", DIRECTORY / "back.log"
-    with open_recording(subject.real) as recording:
-        length = recording.info
-    convert(subject.real, mcap)
-    yield _size("CARLA's own", subject.real, mcap, 0.08)
-    for what, source, target in ((".log → .mcap", subject.real, mcap), (".mcap → .log", mcap, back)):
-        seconds = min(timed(partial(_convert, source, target)) for _ in range(5))
-        yield Line(f"CARLA's own, {what}", f"{seconds:.3f} s", f"{length.duration / seconds:,.0f} x real time", "", True)
-    yield Line("CARLA's own, .log → .mcap → .log", "", "", "equal", filecmp.cmp(subject.real, back, shallow=False))
-    back.unlink()
-    for name, use in USES.items():
-        for path in (subject.real, mcap):
-            each = min(timed(partial(_use, use, path)) for _ in range(5)) / length.frames * 1e6
-            yield Line(f"CARLA's own, {name}, {path.suffix}", f"{each:.1f} µs a frame", "", "", True)
-
-
-def _collisions(recording: Recording) -> object:
-    return list(recording.collisions())
+    with serve(subject.mcap.parent.absolute()) as server:
+        server.delay = 0.05
+        url = f"{server.url}/{subject.mcap.name}"
+        for name, query in QUERIES.items():
+            taken = []
+            for _ in range(3):
+                server.reset()
+                begin = time.perf_counter()
+                with open_recording(url) as recording:
+                    query(recording)
+                taken.append(time.perf_counter() - begin)
+            count = len(server.requests)
+            read = f"{count} request{'s' if count > 1 else ''}, {server.sent / 1e6:.2f} MB"
+            ok = count <= 2 and server.sent <= 1_000_000
+            yield Line(f"{name}, remote .mcap", f"{min(taken):.2f} s", read, "≤ 2, 1 MB", ok)
 
 
-def _info(recording: Recording, *, all: bool = False) -> object:
-    from carla_recap.output.text import text
-    from carla_recap.queries.info import info
-
-    return "".join(text(info(recording.reader, all=all)))
-
-
-def _blocked(recording: Recording) -> object:
-    return list(recording.blocked(min_distance=9.0))  # not CARLA's distance: an MCAP file stores no intervals for it
-
-
-def _incidents(recording: Recording) -> object:
-    return list(recording.incidents())
-
-
-def _trajectory(recording: Recording) -> object:
-    return recording.trajectory(recording.heroes[0].id) if recording.heroes else None
-
-
-def _rerun(recording: Recording) -> object:
-    from carla_recap import export_rerun
-
-    return export_rerun(recording, DIRECTORY / "use.rrd", force=True)
-
-
-def _foxglove(recording: Recording) -> object:
-    from carla_recap.show.foxglove import export_foxglove
-
-    return export_foxglove(recording, DIRECTORY / "use.foxglove.mcap", force=True)
-
-
-USES: Final[dict[str, Use]] = {
-    "collisions": _collisions,
-    "info": _info,
-    "blocked by 9 cm": _blocked,
-    "incidents": _incidents,
-    "trajectory": _trajectory,
-    "info --all": partial(_info, all=True),
-    "to .rrd": _rerun,
-    "to Foxglove": _foxglove,
-}
-"""What is done with a recording in process."""
-BEFORE: Final = {
-    ".log → .mcap": 276.0,
-    ".mcap → .log": 23.4,
-    "collisions, .log": 1.66,
-    "collisions, .mcap": 0.3,
-    "info, .log": 1.74,
-    "info, .mcap": 0.43,
-    "blocked by 9 cm, .log": 275.0,
-    "blocked by 9 cm, .mcap": 282.0,
-    "incidents, .log": 349.0,
-    "incidents, .mcap": 42.7,
-    "trajectory, .log": 13.3,
-    "trajectory, .mcap": 25.5,
-    "info --all, .mcap": 198.0,
-    "to .rrd, .mcap": 152.0,
-    "to Foxglove, .mcap": 891.0,
-}
-"""Processor times on the restless log of 5000 frames before recordings were read in batches, in bare loops over its headers.
-
-Measured with the code that read frame by frame, alternating with the bare loop (2.1 µs a frame) on the same machine.
-"""
 ROWS: Final = (
     log_to_mcap,
     mcap_to_log,
-    lively,
     size,
     trajectories,
     collisions,
@@ -313,8 +236,11 @@ ROWS: Final = (
     differences,
     info_all,
     start,
-    restless,
     real,
+    of_hero,
+    near_misses,
+    rules,
+    remote,
 )
 
 
@@ -352,17 +278,34 @@ def _header_size(log: Path) -> int:
     return len(pack_header(reader.header))
 
 
-def _use(use: Use, path: Path) -> object:
+def _use(use: Callable[[Recording], object], path: Path) -> object:
     from carla_recap import open_recording
 
     with open_recording(path) as recording:
         return use(recording)
 
 
-def _convert(source: Path, target: Path) -> object:
-    from carla_recap.editing.convert import convert
+def _asked(name: str, subject: Subject, query: Callable[[Recording], object], hour: float) -> Line:
+    """The processor time of a query of the recording, whose goal is that of an hour, or of the same share of it."""
+    recorded = subject.mcap  # which may be converted first
+    seconds = cpu_time(lambda: _use(query, recorded))
+    goal = max(hour * subject.seconds / 3600, 1.0)
+    each = f"{seconds / subject.frames * 1e6:.0f} µs a frame"
+    return Line(f"{name}, {subject.length}", f"{seconds:.1f} s", each, f"≤ {goal:.0f} s", seconds <= goal)
 
-    return convert(source, target, force=True)
+
+def broken_rules(reader: Reader) -> list[RoadEvent]:
+    """Return the rules of the road that vehicles break in a recording of the built-in town."""
+    from carla_recap.queries.measures.road import TYPES, RoadSearch
+    from carla_recap.queries.recorded_actors import actors
+    from carla_recap.roads import find_road_network
+
+    roads = find_road_network("Brickfield")
+    assert roads is not None
+    search = RoadSearch(reader, roads, actors(reader))
+    for batch in reader.batches(TYPES):
+        search.add(batch)
+    return search.finish()
 
 
 def _conversion(what: str, seconds: float, source: Path, target: Path, goal: int) -> Iterator[Line]:

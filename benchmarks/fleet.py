@@ -1,25 +1,32 @@
-"""Many recordings: 5,000 copies of the samples, 50 of them broken in one of ten ways."""
+"""Many recordings: 5,000 copies of the samples, 50 of them broken in one of ten ways; and a campaign of many runs."""
 
 from __future__ import annotations
 
-import random
+import os
 import shutil
+import signal
 import subprocess
 import time
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.campaign import make
 from benchmarks.hour import DIRECTORY, FRAMES
-from benchmarks.measuring import COMMAND, Line, Subject, cpu_time
+from benchmarks.measuring import COMMAND, Line, Subject, cpu_time, run_watched
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from distributed import Client
+
+    from carla_recap.sim.world import World
+
 MOST: Final = 5000
 BROKEN: Final = 100  # recordings, one of which is broken
-KILLED: Final = 1000
-KILLS: Final = 10
+RUNS: Final = 1000
+KILL: Final = 10.0  # s between two kills
+WORKERS: Final = 2  # of the cluster
 MEMORY: Final = 60e6  # bytes, which ten times as many recordings may take in addition
 
 
@@ -42,25 +49,6 @@ def indexing(subject: Subject) -> Iterator[Line]:
     yield Line("a question in SQL", f"{seconds:.1f} s", "", "≤ 3 s", seconds <= 3)
 
 
-def index_kills(subject: Subject) -> Iterator[Line]:
-    """A process that writes an index is killed ten times at random moments, and then ends."""
-    runs, count = _campaign(subject, KILLED)
-    expected, index = _new_index("expected"), _new_index()
-    _, seconds, _ = _run("index", runs, expected)
-    rng = random.Random(5)
-    for _ in range(KILLS):
-        process = subprocess.Popen([COMMAND, "index", runs, index], stderr=subprocess.DEVNULL)
-        try:
-            process.wait(rng.uniform(0.2, 0.4) * max(seconds, 5.0))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-    lines, _, _ = _run("index", runs, index)
-    left = lines[-1].rpartition(": ")[2]
-    equal = contents(index) == contents(expected)
-    yield Line(f"{count:,} recordings, {KILLS} kills", f"at the end {left}", "", "equal tables", equal)
-
-
 def many_collisions(subject: Subject) -> Iterator[Line]:
     runs, count = _campaign(subject)
     _, seconds, cpu = _run("collisions", "--json", runs)
@@ -79,19 +67,69 @@ def many_memory(subject: Subject) -> Iterator[Line]:
         peaks = []
         for folder in (few, runs):
             command = [COMMAND, what, "--jobs", "2", folder, *([_new_index()] if what == "index" else ["--json"])]
-            peaks.append(_peak(command))
+            peaks.append(run_watched(command, codes=(0, 2))[2])
         small, large = peaks
         more = large - small
         ratio = f"{small / 1e6:.0f} MB for {count // 10:,}"
         yield Line(f"{what} of {count:,}, peak memory", f"{large / 1e6:.0f} MB", ratio, "+ ≤ 60 MB", more <= MEMORY)
 
 
-ROWS: Final = (indexing, index_kills, many_collisions, many_memory)
+def drive(world: World, vehicles: int) -> None:
+    """Spawn traffic; the campaign ticks on."""
+    from carla_recap.sim.traffic import populate
+
+    populate(world, vehicles, 0, hero=True)
 
 
-def _campaign(subject: Subject, most: int = MOST) -> tuple[Path, int]:
+def campaign_kills(subject: Subject) -> Iterator[Line]:
+    """Short runs on a cluster of two workers, one of which is killed every 10 s."""
+    import dask
+    from distributed import LocalCluster
+
+    from carla_recap.fleet.campaign import campaign
+    from carla_recap.fleet.cluster import connect
+
+    count = RUNS if subject.frames >= FRAMES else 20
+    folder, done, kills = DIRECTORY / "cluster", Event(), []
+    shutil.rmtree(folder, ignore_errors=True)
+    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 30}
+    patience = {"distributed.deploy.lost-worker-timeout": "10 minutes"}  # else a slow machine closes the cluster
+    with (
+        dask.config.set(patience),
+        LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, **options) as cluster,
+        connect(cluster.scheduler_address) as client,
+    ):
+        killer = Thread(target=_kill, args=(client, done, kills))
+        killer.start()
+        try:
+            begin = time.perf_counter()
+            given = {"vehicles": [5]}
+            found = list(campaign(drive, seeds=range(count), params=given, out=folder, duration=2.0, client=client))
+            seconds = time.perf_counter() - begin
+        finally:
+            done.set()
+            killer.join()
+    there = len(list(folder.glob("*.mcap")))
+    failed = sum(finished.report.error is not None for finished in found)
+    is_whole = there == count == len({finished.run.name for finished in found}) and not failed
+    what = f"{count:,} runs on Dask, {len(kills)} workers killed"
+    yield Line(what, f"{there:,} recordings, {failed} failed", f"{seconds:.0f} s", "all there, none twice", is_whole)
+
+
+def _kill(client: Client, done: Event, kills: list[int]) -> None:
+    while not done.wait(KILL):
+        workers = [*client.run(os.getpid).values()]
+        if len(workers) == WORKERS:  # else the one that was killed last has not been started again
+            os.kill(workers[0], signal.SIGKILL)
+            kills.append(workers[0])
+
+
+ROWS: Final = (indexing, many_collisions, many_memory, campaign_kills)
+
+
+def _campaign(subject: Subject) -> tuple[Path, int]:
     """Return the folder of a campaign, and the number of its recordings, which are few in a short run of all benchmarks."""
-    count = most if subject.frames >= FRAMES else BROKEN
+    count = MOST if subject.frames >= FRAMES else BROKEN
     folder = DIRECTORY / f"campaign-{count}"
     if not folder.exists():
         unfinished = folder.with_suffix(".unfinished")
@@ -101,8 +139,8 @@ def _campaign(subject: Subject, most: int = MOST) -> tuple[Path, int]:
     return folder, count
 
 
-def _new_index(name: str = "index") -> Path:
-    index = DIRECTORY / f"{name}.duckdb"
+def _new_index() -> Path:
+    index = DIRECTORY / "index.duckdb"
     index.unlink(missing_ok=True)
     return index
 
@@ -120,25 +158,6 @@ def _run(*arguments: Any) -> tuple[list[str], float, float]:
     assert done is not None
     assert done.returncode in (0, 2), done.stderr
     return done.stderr.splitlines(), time.perf_counter() - begin, cpu
-
-
-def _peak(command: list[Any]) -> int:
-    """Return the peak of the memory of a command and its workers together, in bytes, sampled 20 times a second."""
-    import psutil
-
-    peak = 0
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-        watched = psutil.Process(process.pid)
-        while process.poll() is None:
-            memory = 0
-            try:
-                for each in (watched, *watched.children(recursive=True)):
-                    memory += each.memory_info().rss
-            except psutil.NoSuchProcess:
-                pass
-            peak = max(peak, memory)
-            time.sleep(0.05)
-    return peak
 
 
 def contents(index: Path) -> dict[str, list[str]]:

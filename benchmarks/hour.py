@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import zlib
 from collections import defaultdict
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,7 +20,7 @@ from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Attribute, Spawn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -43,8 +42,6 @@ FIRST_WALKER: Final = HERO + VEHICLES
 
 LIGHTS: Final = 36
 GREEN, YELLOW, RED = 10, 3, 2  # seconds, as in CARLA's towns
-
-RESTLESS: Final = 7  # the most walkers that a frame of a restless recording leaves out
 
 TURNOVER: Final = 20 * RATE  # frames until an actor is replaced by another one
 REFIT: Final = 60 * RATE  # frames until the hero gets a new collision sensor
@@ -111,8 +108,7 @@ class Hour:
             self._state[name]["id"] = self._poses["id"][:, HERO:FIRST_WALKER]
         self._state["walker_controls"]["id"] = self._poses["id"][:, FIRST_WALKER:]
 
-    def frames(self, *, restless: bool = False) -> Iterator[Frame]:
-        """Yield the frames; if `restless`, each has another number of walkers than the one before."""
+    def frames(self) -> Iterator[Frame]:
         types = [UE4.named(name) for name in ORDER]
         empty = {type.name: Packet(type.id, type, None, type.records([])) for type in types}
         elapsed = 0.0
@@ -121,10 +117,7 @@ class Hour:
             packets = []
             for type in types:
                 if type.name in self._state:
-                    records = self._state[type.name][index]
-                    if restless and type.name in ("transforms", "walker_controls"):
-                        records = records[: len(records) - index % (RESTLESS + 1)]
-                    packets.append(Packet(type.id, type, None, records))
+                    packets.append(Packet(type.id, type, None, self._state[type.name][index]))
                 elif type.name in events:
                     packets.append(Packet(type.id, type, None, type.records(events[type.name])))
                 elif type.name not in ONLY_WITH_RECORDS:
@@ -302,9 +295,9 @@ def stop_and_go(
     cruise: tuple[float, float],
     go: tuple[float, float],
     halt: tuple[float, float],
-    ramp: int = 3 * RATE,
 ) -> Floats:
-    """Return the speed in each frame in cm/s: `go` seconds at a `cruise` speed, `halt` seconds of rest, ramps in frames."""
+    """Return the speed in each frame in cm/s: `go` seconds at a `cruise` speed, `halt` seconds of rest, ramps of 3 s."""
+    ramp = 3 * RATE
     legs = int((count + ramp) / RATE / (go[0] + halt[0])) + 2
     seconds = np.column_stack((rng.uniform(*go, legs), rng.uniform(*halt, legs)))
     speeds = np.column_stack((rng.uniform(*cruise, legs), np.zeros(legs)))
@@ -328,27 +321,21 @@ def closed_curve(rng: np.random.Generator, distance: Floats, radius: float) -> t
     return place.real, place.imag, heading
 
 
-def make(path: Path, count: int = FRAMES, seed: int = 1, *, restless: bool = False) -> None:
+def make(path: Path, count: int = FRAMES, seed: int = 1) -> None:
     """Write the log; the same count and seed give the same bytes."""
     with LogWriter(path, Header("Town05", 1_700_000_000)) as log:
-        for frame in Hour(count, seed).frames(restless=restless):
+        for frame in Hour(count, seed).frames():
             log.write(frame)
 
 
-def cached(count: int = FRAMES, *, restless: bool = False) -> Path:
+def cached(count: int = FRAMES) -> Path:
     """Return the log, which is made again if this module has changed."""
-    name = f"{'restless' if restless else 'hour'}-{count}"
-    return stored(name, partial(make, count=count, restless=restless), Path(__file__))
-
-
-def stored(name: str, make: Callable[[Path], None], source: Path) -> Path:
-    """Return a log of a name, which is made again if the module that makes it has changed."""
-    path = DIRECTORY / f"{name}-{zlib.crc32(source.read_bytes()):08x}.log"
+    path = DIRECTORY / f"hour-{count}-{zlib.crc32(Path(__file__).read_bytes()):08x}.log"
     if not path.exists():
         DIRECTORY.mkdir(parents=True, exist_ok=True)
-        for stale in DIRECTORY.glob(f"{name}-*"):
+        for stale in DIRECTORY.glob(f"hour-{count}-*"):
             stale.unlink()
-        make(path)
+        make(path, count)
     return path
 
 

@@ -10,15 +10,17 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.hour import DIRECTORY, RATE, cached
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 COMMAND: Final = Path(sys.executable).with_name("carla-recap")
 CONVERT: Final = "import sys; from carla_recap.editing.convert import convert; convert(*sys.argv[1:], force=True)"
@@ -99,6 +101,29 @@ def run(*command: str | Path) -> Run:
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, [str(part) for part in command])
     return Run(seconds, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+
+
+def run_watched(command: list[Any], beside: Iterable[Any] = (), codes: tuple[int, ...] = (0,)) -> tuple[bytes, float, int]:
+    """Return what a command prints, its seconds, and the peak memory of it, its child processes and others, together.
+
+    The memory is looked at 20 times a second.
+    """
+    import psutil
+
+    peak, begin = 0, time.perf_counter()
+    with TemporaryFile() as out:
+        with subprocess.Popen(list(map(str, command)), stdout=out, stderr=subprocess.DEVNULL) as process:
+            watched = psutil.Process(process.pid)
+            while process.poll() is None:
+                with suppress(psutil.NoSuchProcess):
+                    processes = (watched, *watched.children(recursive=True), *beside)
+                    peak = max(peak, sum(each.memory_info().rss for each in processes))
+                time.sleep(0.05)
+        seconds = time.perf_counter() - begin
+        if process.returncode not in codes:
+            raise subprocess.CalledProcessError(process.returncode, process.args)
+        out.seek(0)
+        return out.read(), seconds, peak
 
 
 def best(work: Callable[[], Run], times: int = 3) -> Run:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import statistics
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -56,26 +55,6 @@ def cameras(_: Subject) -> Iterator[Line]:
     yield Line("four kinds of images instead of one", "", f"{ratio:.1f} x the CPU time", "≤ 2 x", ratio <= 2)
 
 
-def drawing_process(_: Subject) -> Iterator[Line]:
-    from carla_recap.rendering.camera import DrawnView
-    from carla_recap.rendering.process import RenderProcess
-
-    town, actors, poses = crowded_town()
-    view = DrawnView(camera_behind(poses[0], 800, 600))
-    start = timed(lambda: RenderProcess(town).close())
-    yield Line("the process that draws: start to end", f"{start:.1f} s", "", "", True)
-    with RenderProcess(town) as process:
-        process.draw(view, actors)
-        one = statistics.median(timed(lambda: process.draw(view, actors)) for _ in range(15))
-
-        def draw_several() -> None:
-            for future in [process.submit([view], actors) for _ in range(15)]:
-                future.result()
-
-        many = min(timed(draw_several) for _ in range(2)) / 15
-    yield Line("an image of 800 x 600 by it, alone", f"{one * 1e3:.0f} ms", f"{one / many:.1f} x that of many", "", True)
-
-
 def crowded_town() -> tuple[Any, Any, Any]:
     """Return the mesh of a town, actors in it, and CARLA's poses of these."""
     from carla_recap.replay.pose import right_handed
@@ -113,4 +92,4 @@ def camera_behind(pose: Any, width: int, height: int) -> Any:
     return Camera(width, height, 90.0, behind[:3], rotations(behind))
 
 
-ROWS: Final = (cameras, drawing_process)
+ROWS: Final = (cameras,)

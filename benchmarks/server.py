@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 from itertools import islice
@@ -25,20 +23,11 @@ ROUNDS = 8
 
 
 def sync_ticks(_: Subject) -> Iterator[Line]:
-    """Ticks a second, also as a share of those with a server that computes nothing; see `replies`."""
-    replies = (DIRECTORY / "server.replies").resolve()
-    with running(recordings=DIRECTORY) as port, printed_port(str(port), str(replies)) as proxy:
-        in_new_process(idle_rate, proxy)
-    rates, most = [], []
+    rates = []
     for _ in range(3):
         with running(recordings=DIRECTORY) as port:
             rates.append(in_new_process(idle_rate, port))
-        with printed_port(str(replies)) as port:
-            most.append(in_new_process(idle_rate, port))
-    replies.unlink()
-    rate, share = max(rates), max(rates) / max(most)
-    measured, ratio = f"{rate:,.0f} a second", f"{100 * share:.0f} %"
-    yield Line(f"sync ticks, {IDLE} idle vehicles", measured, ratio, "≥ 2,500 /s", rate >= 2500)
+    yield rate_line(f"sync ticks, {IDLE} idle vehicles", max(rates), 2500)
 
 
 def managed_ticks(_: Subject) -> Iterator[Line]:
@@ -106,18 +95,8 @@ def world() -> Iterator[tuple[int, carla.World]]:
         town.apply_settings(carla.WorldSettings())
 
 
-@contextmanager
-def printed_port(*arguments: str) -> Iterator[int]:
-    """Run `replies`, and return the port that it prints."""
-    command = [sys.executable, "-m", "benchmarks.replies", *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        yield int(process.stdout.readline())
-        process.communicate()
-
-
 def idle_rate(port: int) -> float:
-    """Return the ticks a second of a client with idle vehicles; it makes the same calls each time."""
+    """Return the ticks a second of a client with idle vehicles."""
     import carla
 
     town = connect(port).get_world()
@@ -129,10 +108,7 @@ def idle_rate(port: int) -> float:
 
 
 def managed_rate(port: int) -> tuple[float, float]:
-    """Return the ticks a second of a client whose traffic manager drives, and the client's own processor time for one, in s.
-
-    Replies are not replayed for this: with such fast ones, client and traffic manager lose signals (`TrafficManagerCycle`).
-    """
+    """Return the ticks a second of a client whose traffic manager drives, and its own processor time for one, in s."""
     import carla
 
     client = connect(port)

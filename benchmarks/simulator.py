@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from benchmarks.core import broken_rules
 from benchmarks.hour import DIRECTORY
 from benchmarks.measuring import Line, Subject
 
@@ -130,6 +131,22 @@ def traffic(subject: Subject) -> Iterator[Line]:
     yield Line("100 cars, 10 min: longest stop", f"{stop:.0f} s", "", "≤ 180 s", stop <= 180)
 
 
+def law_abiding(_: Subject) -> Iterator[Line]:
+    """Ten minutes of traffic on autopilot in the built-in town."""
+    from carla_recap import open_recording
+    from carla_recap.sim import World
+    from carla_recap.sim.traffic.spawning import populate
+
+    world = World(seed=1)
+    populate(world, 60, 0)
+    path = world.start_recorder(DIRECTORY / "law-abiding.mcap")
+    world.run(600.0)
+    world.stop_recorder()
+    with open_recording(path) as recording:
+        count = len(broken_rules(recording.reader))
+    yield Line("broken rules, 60 vehicles, 10 min", str(count), "", "0", count == 0)
+
+
 def drives(subject: Subject) -> Iterator[Line]:
     """Recorded drives of CARLA, whose throttle, brake and steering drive the simulator's vehicle again."""
     for drive, (name, actor, start, duration) in DRIVES.items():
@@ -149,7 +166,7 @@ def drives(subject: Subject) -> Iterator[Line]:
             )
 
 
-ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic, drives)
+ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic, law_abiding, drives)
 
 
 def drive_again_tool() -> ModuleType:
