@@ -186,28 +186,6 @@ def test_all_of_it_is_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "all.log").read_bytes() == CROSSING.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("start", "duration", "found"),
-    [
-        (0.0, 0.0, [0, 1, 2, 3]),
-        (0.0, 1.0, [0, 1]),
-        (0.9, 0.2, [0, 1]),
-        (1.0, 0.5, [1]),
-        (1.5, 0.0, [1, 2, 3]),
-        (1.5, 1e9, [1, 2, 3]),
-        (-1.0, 0.0, [2, 3]),
-        (-50.0, 1.0, [0, 1]),
-        (3.0, 0.0, [3]),
-    ],
-)
-def test_windows(small: Path, tmp_path: Path, start: float, duration: float, found: list[int]) -> None:
-    extent = clip(small, tmp_path / "clip.log", start=start, duration=duration)
-    assert extent == Extent(len(found), len(found), float(len(found) - 1))
-    own, source = frames_of(tmp_path / "clip.log"), frames_of(small)
-    assert [packets_of(frame) for frame in own[1:]] == [packets_of(source[index]) for index in found[1:]]
-    assert [frame.elapsed for frame in own] == [float(at) for at in range(len(found))]
-
-
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
 @pytest.mark.parametrize(("start", "duration", "ids"), [(3.0, 2.0, range(4, 12)), (0.0, 1.0, [1, 2]), (6.0, 0.0, [12, 13])])
 def test_a_clip_begins_where_the_clock_comes_to_its_start_first(
@@ -275,21 +253,6 @@ def test_records_written_once_are_repeated_in_the_first_frame(small: Path, tmp_p
     assert plain(after["spawned"]) == moved
     for name in ("collisions", "destroyed", "vehicle_lights"):
         assert len(after[name]) == 0
-
-
-def test_an_actor_destroyed_before_the_first_frame(tmp_path: Path) -> None:
-    """It has no records; an actor that reuses its id has only its own."""
-    path = tmp_path / "own.log"
-    box = {"bounding_boxes": [(1, 0, 0, 0, 1, 1, 1), (2, 0, 0, 0, 2, 2, 2)]}
-    with create_recording(path, map_name="Town01", date=0, additional_data=True) as recorder:
-        recorder.add_frame(0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], doors=[(1, 0, 1), (2, 3, 1)], **box)
-        recorder.add_frame(1.0, destroyed=[1, 2], parented=[(1, 2)])
-        recorder.add_frame(2.0, spawned=[Spawn(2, 2)])
-        recorder.add_frame(3.0)
-    first = later_frame(path, tmp_path / "clip.log", 3.0)
-    assert [(spawn.id, spawn.kind) for spawn in first["spawned"]] == [(2, 2)]
-    assert not any(len(first[name]) for name in ("doors", "parented", "bounding_boxes"))
-    assert first["destroyed"]["id"].tolist() == [1]
 
 
 def test_the_latest_records_are_used(tmp_path: Path) -> None:

@@ -148,12 +148,6 @@ def test_a_tail_of_megabytes_survives_a_round_trip(frames, tmp_path):
         assert there_and_back(log) == log.read_bytes()
 
 
-def test_an_unknown_packet_of_megabytes_survives_a_round_trip(tmp_path):
-    blob = os.urandom(1_500_000) + bytes(1_500_000)
-    log = save(tmp_path / "blob.log", log_header() + start(1, 0.0) + packet(150, blob) + packet(150, b"") + END)
-    assert there_and_back(log) == log.read_bytes()
-
-
 def test_a_packet_larger_than_the_largest_chunk_survives_a_round_trip(tmp_path):
     log = save(tmp_path / "map.log", log_header() + start(1, 0.0) + packet(150, bytes(70 << 20)) + END)
     assert there_and_back(log) == log.read_bytes()

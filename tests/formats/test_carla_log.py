@@ -20,7 +20,6 @@ from tests.samples import (
     DATE,
     END,
     collision,
-    double,
     drive,
     explore,
     image,
@@ -46,12 +45,6 @@ def header_of(path):
 
 
 # --- the header ------------------------------------------------------------------------------------------
-
-
-def test_the_start_of_a_real_log_is_read(tmp_path):
-    """As the description of the format has it, byte by byte."""
-    data = bytes.fromhex("01000E00") + b"CARLA_RECORDER" + bytes.fromhex("F0F59C61000000000600") + b"Town01"
-    assert header_of(save(tmp_path / "real.log", data)) == Header("Town01", 1_637_676_528)
 
 
 @given(strategies.headers())
@@ -297,44 +290,6 @@ def test_any_bytes_behind_a_header_are_an_answer_or_an_error_of_ours(tmp_path, d
 
 
 # --- frames ----------------------------------------------------------------------------------------------
-
-
-def test_packets_before_the_first_frame_are_a_frame_of_their_own(tmp_path):
-    data = log_header() + packet(150, b"early") + small_log()[len(log_header()) :]
-    path = save(tmp_path / "early.log", data)
-    with reading(path) as reader:
-        frames = list(reader.frames())
-        assert [f.preamble for f in frames] == [True, False, False, False, False]
-        assert [f.index for f in frames] == [0, 1, 2, 3, 4]
-        assert image(frames[0])[1:] == (0, double(0), double(0), True, [(150, b"early")])
-        assert reader.extent().frames == 4
-    assert write(tmp_path / "again.log", header_of(path), frames).read_bytes() == data
-
-
-@pytest.mark.parametrize(
-    ("start", "stop", "ids"),
-    [
-        (-1.0, 99.0, [1, 2, 3, 4]),
-        (1.0, 3.0, [2, 3]),
-        (0.5, 2.5, [2, 3]),
-        (3.0, 9.0, [4]),
-        (3.5, 9.0, []),
-        (2.0, 2.0, []),
-        (2.0, 1.0, []),
-        (float("-inf"), 1.0, [1]),
-    ],
-)
-def test_frames_within_a_time(small, small_mcap, start, stop, ids):
-    for path in (small, small_mcap):
-        with reading(path) as reader:
-            assert [frame.id for frame in reader.frames(start=start, stop=stop)] == ids
-
-
-@pytest.mark.parametrize(("elapsed", "id"), [(0.0, 1), (0.99, 1), (1.0, 2), (2.5, 3), (3.0, 4), (1e9, 4), (float("inf"), 4)])
-def test_a_frame_at_a_time(small, small_mcap, elapsed, id):
-    for path in (small, small_mcap):
-        with reading(path) as reader:
-            assert reader.frame_at(elapsed).id == id
 
 
 @pytest.mark.parametrize("elapsed", [-0.001, float("nan"), float("-inf")])

@@ -32,10 +32,6 @@ def test_top() -> None:
     assert top(CAR, 0.0).tolist() == [100, 200, 4030, 0, -90, 0]
 
 
-def test_level() -> None:
-    assert level(CAR).tolist() == [100, 200, 30, 0, 0, 90]
-
-
 def test_arrays_of_poses() -> None:
     drive = np.stack([CAR, CAR + 1])
     for camera in (chase, top, level):

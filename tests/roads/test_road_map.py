@@ -60,19 +60,6 @@ def nearest(place: np.ndarray, points: np.ndarray) -> int:
 # --- CARLA's towns ---------------------------------------------------------------------------------------
 
 
-def test_a_town_is_complete_and_has_few_points(loaded):
-    assert loaded.name in TOWNS
-    for line in lines_of(loaded):
-        assert line.shape == (len(line), 3)
-        assert len(line) >= 2
-        assert np.isfinite(line).all()
-    assert sum(len(line) for line in lines_of(loaded)) < 6000
-    assert len(loaded.centre_lines) >= 50
-    assert len(loaded.lane_borders) >= 50
-    assert len(loaded.junctions) >= 8
-    assert len(loaded.stop_lines) >= 20
-
-
 def test_junctions_are_closed_and_contain_centre_lines(loaded):
     centres, _ = dense(loaded.centre_lines)
     for outline in loaded.junctions:

@@ -317,16 +317,6 @@ async def test_a_camera_that_is_destroyed_while_it_is_drawn_is_no_harm(served: S
     assert (len(gone.take()), len(there.take())) == (0, 2)
 
 
-async def test_the_server_ends_while_images_are_drawn(served: Served, painter: Painter) -> None:
-    sensor(served.host, "camera.rgb", **SMALL)
-    for _ in range(3):
-        served.host.tick()
-    served.host.sensors._images.prepare(served.host.world.town).result(PATIENCE)
-    served.host.close()
-    assert painter.closed
-    served.host.tick()
-
-
 async def test_a_camera_inside_its_carrier_does_not_see_it(served: Served, painter: Painter) -> None:
     car = vehicle(served.host)
     sensor(served.host, "camera.rgb", car, at(0.5, z=1.0), **SMALL)

@@ -40,13 +40,6 @@ def test_a_frame_begins_with_kind_frame_time_and_transform() -> None:
     assert place == pytest.approx([10.0, 6.0, 2.0, 0.0, 90.0, 0.0], abs=1e-4)
 
 
-def test_sensors_without_subscribers_have_no_feed() -> None:
-    host = served()
-    host.world.spawn("sensor.camera.rgb", Transform(), image_size_x="nonsense")
-    host.tick()
-    assert host.sensors._feeds == {}
-
-
 def test_a_stream_ends_with_its_sensor() -> None:
     host = served()
     car = vehicle(host)

@@ -55,11 +55,6 @@ def test_the_map_has_lights_and_signs_by_itself(world: carla.World) -> None:
     world.enable_environment_objects({objects[0].id}, False)
 
 
-def test_the_weather_is_kept(world: carla.World) -> None:
-    world.set_weather(carla.WeatherParameters.HardRainNoon)
-    assert world.get_weather() == carla.WeatherParameters.HardRainNoon
-
-
 def test_unsupported_calls_are_accepted(world: carla.World) -> None:
     here, there = carla.Location(), carla.Location(1.0, 1.0, 1.0)
     world.debug.draw_point(here)

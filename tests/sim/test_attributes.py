@@ -30,13 +30,6 @@ def test_defaults_and_choices_are_of_their_type() -> None:
         assert blueprint.choices.keys() <= blueprint.attributes.keys()
 
 
-def test_each_attribute_that_can_be_chosen_has_recommended_values_with_the_default_first() -> None:
-    for blueprint in LIBRARY:
-        for key, values in blueprint.choices.items():
-            assert values, (blueprint.id, key)
-            assert blueprint.attributes[key] == values[0], (blueprint.id, key)
-
-
 def having(fact: dict[str, str]) -> list[Blueprint]:
     patterns = fact["blueprints"].split()
     is_of_mesh = "static.prop.mesh" in patterns or "*" in patterns  # which is no prop with a size
@@ -65,13 +58,6 @@ def test_no_blueprint_has_another_attribute() -> None:
         for blueprint in having(fact):
             expected[blueprint.id].add(fact["attribute"])
     assert {blueprint.id: set(blueprint.attributes) for blueprint in LIBRARY} == expected
-
-
-def test_sensors_have_what_their_pictures_need() -> None:
-    with_angle = {blueprint.id for blueprint in LIBRARY if "fov" in blueprint.attributes}
-    assert with_angle == {blueprint.id for blueprint in LIBRARY.filter("sensor.camera.*")}
-    assert LIBRARY.get("sensor.other.radar").attributes["noise_seed"] == "0"
-    assert [attribute_type(key) for key in ("fov", "image_size_x", "exposure_mode", "use_log")] == [2, 1, 3, 0]
 
 
 def test_some_attributes_are_restricted_to_their_recommended_values() -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 
 from carla_recap import open_recording
 from carla_recap.model.records import ActorKind
-from carla_recap.sim.attributes import attribute_type
-from carla_recap.sim.blueprints import known_physics, standard_library
+from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.errors import SpawnError
-from tests.samples import ROOT, carla_log
+from tests.samples import carla_log
 
 LIBRARY = standard_library()
 
@@ -60,12 +57,6 @@ def test_the_parameters_of_a_vehicle_are_consistent(blueprint) -> None:  # type:
     assert front.max_handbrake_torque == 0 < rear.max_handbrake_torque
     assert [speed for speed, _ in physics.torque_curve] == sorted(speed for speed, _ in physics.torque_curve)
     assert [gear.ratio for gear in physics.forward_gears] == sorted((g.ratio for g in physics.forward_gears), reverse=True)
-
-
-def test_the_documentation_lists_the_vehicles_whose_physics_is_known() -> None:
-    page = (ROOT / "docs" / "simulating.md").read_text("utf-8")
-    listed = re.findall(r"^\| `(vehicle\.[a-z0-9_.]+)` \| (\w+)", page, re.MULTILINE)
-    assert dict(listed) == {name: table["source"].split()[0] for name, table in known_physics().items()}
 
 
 def test_physics_that_was_recorded_is_that_of_the_recording() -> None:
@@ -140,11 +131,6 @@ def test_unknown_names_are_refused() -> None:
         LIBRARY.get("walker.pedestrian.9901")
     with pytest.raises(SpawnError, match=r"no blueprint 'x'; there are vehicle\.\*"):
         LIBRARY.get("x")
-
-
-def test_attributes_have_carlas_types() -> None:
-    keys = ("sticky_control", "number_of_wheels", "speed", "role_name", "color")
-    assert [attribute_type(key) for key in keys] == [0, 1, 2, 3, 4]
 
 
 def test_the_library_is_pure() -> None:

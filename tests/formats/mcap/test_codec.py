@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from google.protobuf.descriptor import FieldDescriptor as Field
 from google.protobuf.message import DecodeError
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning, RecordError
 from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, STATIONARY, TAIL_MESSAGE
-from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, pack, unpack
+from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, pack
 from carla_recap.model.records import UE4, UE5, Spawn, attributes
 from carla_recap.model.stationary import BlockedRow
 from tests import strategies
@@ -205,19 +205,6 @@ def reversed_fields(message) -> bytes:
 
 
 @every_type
-def test_missing_fields_are_zero(type):
-    message = codec.message_class(type.name, type.message_name)(frame=1, elapsed=0.0)
-    if type.framing is Framing.SINGLE:
-        assert codec.decode(type, message.SerializeToString()) == bytes(8)
-        return
-    getattr(message, type.items).add()
-    records, extra = unpack(type, codec.decode(type, message.SerializeToString()))
-    assert (len(records), extra) == (1, 0)
-    values = plain(records)[0]
-    assert not any(value for value in values)
-
-
-@every_type
 def test_an_empty_message_is_an_empty_packet(type):
     expected = bytes(8) if type.framing is Framing.SINGLE else listed()
     assert codec.decode(type, b"") == expected
@@ -278,20 +265,6 @@ def test_stretches_are_read_as_protobuf_reads_them():
     assert codec.decode_records(STATIONARY, codec.head(5, 2.5)) == []
     with pytest.raises(codec.WireError, match="not a carla_recap"):
         codec.decode_records(STATIONARY, message[:-1])
-
-
-@given(ids=st.binary(max_size=300), kinds=st.binary(max_size=300))
-@example(ids=b"", kinds=b"")
-@example(ids=bytes(127), kinds=bytes(127))
-def test_the_packets_of_a_frame_are_read_as_protobuf_reads_them(ids, kinds):
-    data = codec.head(1, 2.5) + codec.frame_body(0.5, ids, kinds)
-    message = codec.parse("frame", FRAME_MESSAGE, data)
-    assert (message.packets, message.filled) == (ids, kinds)
-    assert codec.read_frame(data) in (None, (1, 2.5, 0.5, ids, kinds))
-    if len(ids) == len(kinds) < 128:
-        assert codec.read_frame(data) == (1, 2.5, 0.5, ids, kinds)
-    assert codec.read_frame(data[:-1]) is None
-    assert codec.read_frame(data + b"\x01") is None
 
 
 SPAWNED = [Spawn(id, 1, 1.0, type_id="vehicle.ä", attributes=attributes(role_name="hero")) for id in (1, 2)]

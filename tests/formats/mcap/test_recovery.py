@@ -7,17 +7,13 @@ import warnings
 from contextlib import nullcontext
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap import records
 
 from carla_recap.errors import RecapWarning
-from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import Damage, recover_summary
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
-from tests import strategies
 from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, chunk_records, data_records, message, packed, seal
 from tests.samples import listed, save, transform, write
 from tests.waiting import time_limit
@@ -34,27 +30,6 @@ def recovered(path):
 def offsets_of(data):
     """Where the chunks of a file begin."""
     return [at for at, _ in chunk_places(data)]
-
-
-def test_a_sound_file_is_all_found(driven):
-    source = LocalSource(driven)
-    own = read_summary(source)
-    source.close()
-    summary, damage = recovered(driven)
-    assert (damage.chunks, damage.bytes, damage.finished) == (0, 0, True)
-    assert summary.chunks == own.chunks
-    assert (summary.schemas, summary.channels, summary.metadata) == (own.schemas, own.channels, own.metadata)
-
-
-def test_a_file_without_an_end_has_all_its_chunks(driven):
-    data = driven.read_bytes()
-    whole = offsets_of(data)
-    last = whole[-1]
-    save(driven, data[: last + 100])
-    summary, damage = recovered(driven)
-    assert sorted(chunk.offset for chunk in summary.chunks) == whole[:-1]
-    assert not damage.finished
-    assert damage.bytes == 100
 
 
 @pytest.mark.parametrize("repeated", [True, False])
@@ -119,14 +94,6 @@ def test_a_chunk_behind_megabytes_of_nothing_is_found(driven):
         assert damage.bytes == size
 
 
-def test_channels_of_the_summary_win_over_damaged_ones(driven):
-    data = driven.read_bytes()
-    hit = data.index(b"/actors/transforms")
-    save(driven, data[:hit] + b"\x01" + data[hit + 1 :])
-    topics = {channel.topic for channel in recovered(driven)[0].channels.values()}
-    assert topics == {"/frames", "/actors/transforms", "/collisions", "/collisions/contacts"}
-
-
 def test_messages_whose_schema_is_damaged_are_found_without_a_summary(driven):
     data = driven.read_bytes()
     hit = data.index(b"carla_recap.v1.Transforms")
@@ -159,38 +126,6 @@ def test_a_lost_magic_does_not_matter(driven):
     count = len(offsets_of(driven.read_bytes()))
     save(driven, bytes(8) + driven.read_bytes()[8:])
     assert len(recovered(driven)[0].chunks) == count
-
-
-@pytest.mark.parametrize("data", [b"", MAGIC, bytes(100), b"\5" * 3000, b"\x04\0\0\0zstd" * 500])
-def test_a_file_of_nothing_holds_nothing(tmp_path, data):
-    summary, damage = recovered(save(tmp_path / "x.mcap", data))
-    assert summary.chunks == []
-    assert not damage.finished
-
-
-def test_a_bomb_is_dropped(driven):
-    parts = data_records(driven)
-    count = sum(isinstance(part, records.Chunk) for part in parts)
-    bomb = seal(bytes(100 << 20), uncompressed_size=10)
-    Forge([*parts, bomb]).write(driven)
-    summary, damage = recovered(driven)
-    assert (len(summary.chunks), damage.chunks) == (count, 1)
-
-
-@given(data=st.data())
-def test_any_damage_is_survived(tmp_path, data):
-    whole = (tmp_path / "whole").read_bytes() if (tmp_path / "whole").exists() else None
-    if whole is None:
-        from carla_recap.model.frame import Header
-        from tests.samples import drive, write
-
-        whole = write(tmp_path / "drive.mcap", Header("T", 5), drive(6, 5, 2)).read_bytes()
-        save(tmp_path / "whole", whole)
-    damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
-    with time_limit():
-        summary, _ = recovered(save(tmp_path / "damaged.mcap", damaged))
-    for chunk in summary.chunks:
-        assert chunk.offset + chunk.length <= len(damaged)
 
 
 # --- what is made to cost time ---------------------------------------------------------------------------

@@ -269,16 +269,6 @@ def test_statistics_and_footer_are_right(recording):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_a_file_appears_only_when_it_is_complete(tmp_path, suffix):
-    path = tmp_path / f"late{suffix}"
-    with create_writer(path, HEADER) as writer:
-        for frame in drive(1):
-            writer.write(frame)
-        assert not path.exists()
-    assert names_in(tmp_path) == [path.name]
-
-
-@pytest.mark.parametrize("suffix", [".mcap", ".log"])
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_nothing_is_left_of_a_file_that_is_given_up(tmp_path, suffix, error):
     def interrupted():

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from math import hypot
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from carla_recap import open_recording
 from carla_recap.sim.actors.moving import Vehicle, WalkerControl
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, collisions, flat_world, light, spawn_car, spawn_walker
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_rear_end_collision_is_reported_for_the_hero_and_moves_both() -> None:
@@ -192,17 +187,3 @@ def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch:
     assert walker.transform.location.z == pytest.approx(walker.box.extent.x, abs=0.01)
     low, high = walker.heights()
     assert (low, high) == pytest.approx((0.0, 2 * walker.box.extent.x), abs=0.02)
-
-
-def test_a_walker_that_lies_is_recorded_as_lying_and_not_blocked(tmp_path: Path) -> None:
-    world = flat_world()
-    walker = spawn_walker(world, at(20.0, z=0.9))
-    spawn_car(world, at(5.0), speed=10.0)
-    for suffix in (".mcap", ".log"):
-        path = world.recorder.start(tmp_path / f"hit{suffix}", in_process=True)
-        world.run(12.0)
-        world.stop_recorder()
-        with open_recording(path) as recording:
-            assert walker.id not in {row.id for row in recording.blocked(8.0)}
-            last = list(recording.reader.frames(("transforms",)))[-1].packets[0].records
-            assert last["pitch"][last["id"] == walker.id] == -90

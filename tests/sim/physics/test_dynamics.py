@@ -75,18 +75,6 @@ def test_top_speeds_are_plausible() -> None:
         assert least * KMH < car.velocity.x < most * KMH, car
 
 
-def test_vehicles_brake_from_100_within_a_plausible_distance() -> None:
-    world = flat_world()
-    cars = side_by_side(world, "audi.tt", "nissan.patrol", "carlamotors.firetruck", "kawasaki.ninja")
-    for car in cars:
-        car.set_target_velocity(Vector(100 * KMH))
-        car.apply_control(VehicleControl(brake=1.0))
-    world.run(8)
-    for car in cars:
-        assert 35 < car.transform.location.x - 10 < 55, car
-        assert car.velocity.length() == 0, car
-
-
 @pytest.mark.parametrize("name", ["tesla.model3", "mini.cooper_s", "mercedes.sprinter", "bh.crossbike"])
 @pytest.mark.parametrize("steer", [0.1, -0.3])
 def test_at_low_speed_the_radius_is_wheelbase_by_tangent(name: str, steer: float) -> None:
@@ -122,18 +110,6 @@ def test_sideways_it_never_pulls_more_than_its_tyres_hold() -> None:
     for _ in range(60):
         world.tick()
         assert hypot(car.acceleration.x, car.acceleration.y) < 9.81 * 3.5
-
-
-def test_a_drawn_hand_brake_brakes_in_a_bend() -> None:
-    speeds = []
-    for drawn in (False, True):
-        world = flat_world()
-        car = vehicle(world, "audi.tt", y=100.0)
-        car.set_target_velocity(Vector(15.0))
-        car.apply_control(VehicleControl(steer=0.3, hand_brake=drawn))
-        world.run(1)
-        speeds.append(world.vehicles.speed[0])
-    assert speeds[1] < 0.5 * speeds[0]
 
 
 def test_the_hand_brake_holds_it_against_the_engine() -> None:
@@ -360,17 +336,6 @@ def test_less_friction_makes_every_vehicle_brake_later() -> None:
         assert wet < 0.75 * slippery, name
         weak = f"vehicle.{name}" in known_physics()  # CARLA's own brakes give about as much as wet roads
         assert dry < (1.0 if weak else 0.8) * wet, name
-
-
-def test_stiffer_tyres_take_every_vehicle_as_far_or_farther() -> None:
-    world = flat_world()
-    cars = side_by_side(world, *(name for name in VEHICLES for _ in range(2)))
-    for number, car in enumerate(cars):
-        rebuilt(car, long_stiff_value=2000.0 if number % 2 else 100.0)
-        car.apply_control(VehicleControl(throttle=1.0))
-    world.run(5.0)
-    for name, soft, stiff in zip(VEHICLES, cars[::2], cars[1::2], strict=True):
-        assert stiff.transform.location.x >= 0.95 * soft.transform.location.x, name
 
 
 def test_pushes_without_physics_do_not_act_later() -> None:

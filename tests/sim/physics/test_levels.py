@@ -93,11 +93,6 @@ def test_the_autopilot_ignores_what_is_hidden_below_the_road_and_what_is_flat() 
     assert driven.transform.location.x > 100
 
 
-def test_the_height_of_the_road_is_that_of_the_level(town: Town) -> None:
-    places = np.array(((0.0, 2.0, 0.3), (0.0, 2.0, BRIDGE + 0.3), (0.0, 2.0, BRIDGE - 2), (0.0, 2.0, -50.0)))
-    assert town.height(*places.T).tolist() == pytest.approx([0.0, BRIDGE, 0.0, 0.0], abs=0.01)
-
-
 @pytest.mark.filterwarnings("ignore:of a map of")
 @pytest.mark.parametrize("far", [0.0, 3000.0, 20000.0])
 def test_the_height_at_each_lane_is_its_own(tmp_path: Path, far: float) -> None:
@@ -117,16 +112,6 @@ def test_a_bridge_has_room_for_a_car_above_another(town: Town) -> None:
     assert upper.transform.location.z == pytest.approx(BRIDGE, abs=0.05)
     with pytest.raises(SpawnError, match=repr(upper).replace("(", r"\(").replace(")", r"\)")):
         spawn_car(world, at(0.0, 1.75, z=BRIDGE + 0.5))
-
-
-def test_a_car_passes_below_a_queue_on_the_bridge(town: Town) -> None:
-    world = World(town, seed=1, date=0)
-    for y in (-7.0, 0.0, 7.0):
-        spawn_car(world, at(-1.75, y, 90.0, z=BRIDGE))
-    driven = spawn_car(world, at(-40.0, 1.75), role_name="hero")
-    driven.set_autopilot()
-    assert not collisions(world, 12.0)
-    assert driven.transform.location.x > 20
 
 
 def test_traffic_on_two_levels_stays_level_and_apart(town: Town) -> None:

@@ -125,15 +125,6 @@ def test_what_is_written_before_a_disk_fails_becomes_a_recording(tmp_path: Path,
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_a_full_disk_holds_is_left_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    broken_after(monkeypatch, 2, for_good=True)
-    with pytest.raises(RecapError, match=r"what was recorded until then is in .*\.partial, for carla-recap recover"):
-        write(tmp_path / "a.mcap", 300)
-    (partial,) = tmp_path.iterdir()
-    monkeypatch.undo()
-    assert carla_recap.recover(partial, tmp_path / "b.mcap").frames == 100
-
-
 def test_what_cannot_be_finished_is_left_to_be_recovered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(self: ChunkedFile) -> None:
         raise RecapError(f"{self.path}: cannot be written: No space left on device")

@@ -149,25 +149,6 @@ def test_without_records_the_speed_limit_is_that_of_a_sign_or_else_of_carla(tmp_
     assert made_of(tmp_path, road()).lanes[0].limits == pytest.approx(30 / 3.6)
 
 
-@pytest.mark.parametrize(
-    ("speed", "limit"),
-    [
-        ('max="10"', 10.0),
-        ('max="36" unit="km/h"', 10.0),
-        ('max="20" unit="mph"', 8.9408),
-        ('max="no limit"', 30 / 3.6),
-        ('max="nan"', 30 / 3.6),
-        ('max="-5"', 30 / 3.6),
-    ],
-)
-def test_units_of_speed_limits(tmp_path: Path, speed: str, limit: float) -> None:
-    plain = road(sections=section(0, right=lane(-1)))
-    fast = plain.replace("<planView>", f'<type s="0" type="town"><speed {speed}/></type><planView>')
-    assert made_of(tmp_path, fast).lanes[0].limits == pytest.approx(limit)
-    lane_alone = plain.replace("</lane></right>", f'<speed sOffset="0" {speed}/></lane></right>')
-    assert made_of(tmp_path, lane_alone).lanes[0].limits == pytest.approx(limit)
-
-
 # --- places on lanes -----------------------------------------------------------------------------------
 
 

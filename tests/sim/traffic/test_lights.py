@@ -124,9 +124,3 @@ def test_a_light_without_a_junction_changes_by_itself() -> None:
         states.append(world.traffic_lights[0].state)
         world.run(1)
     assert states == [GREEN] * 10 + [YELLOW] * 3 + [RED] * 2 + [GREEN]
-
-
-def test_a_town_without_lights_has_none() -> None:
-    world = flat_world()
-    world.run(1)
-    assert world.signals.state_of_lane(np.array([0])).tolist() == [OFF]

@@ -1,4 +1,4 @@
-"""Sixty cars in a town keep their lanes, and stop at red lights."""
+"""Sixty cars in a town keep their lanes, stop at red lights, and meet none of each other."""
 
 from __future__ import annotations
 
@@ -48,14 +48,16 @@ class Lines:
 
 
 @pytest.mark.parametrize("name", ["Brickfield", "Town01", "Town02", "Town10HD"])
-def test_cars_keep_their_lanes_and_stop_at_red(name):
+def test_cars_keep_their_lanes_stop_at_red_and_do_not_collide(name):
     world = World(load_town(name if name == "Brickfield" else town(name)), seed=3, date=0)
     populate(world, 60, 0)
+    world.settings.collisions_of = "all"
     lines, passed, ran, beside = Lines(world), 0, 0, []
     index, vehicles = world.town.index, world.vehicles
     width = np.array([lane.width for lane in world.town.lanes])
     for tick in range(SECONDS * 20):
         world.tick()
+        assert not world.events.collisions
         lights = lines.crossed()
         passed += len(lights)
         ran += int((world.signals.state[lights] == RED).sum())

@@ -11,7 +11,6 @@ from carla_recap.sim.actors.moving import Walker, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.signals import GREEN, RED
-from carla_recap.sim.town.graph import Paths
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from tests.sim.flat import at, flat_world, light, spawn_car, spawn_walker
 
@@ -30,14 +29,6 @@ def graph() -> WalkwayGraph:
 
 def walker(world: World, x: float, y: float) -> Walker:
     return spawn_walker(world, at(x, y), "walker.pedestrian.0015")
-
-
-def test_the_shortest_path_is_found() -> None:
-    paths = Paths(graph().nodes, graph().edges)
-    assert paths.find(0, 3) == [0, 1, 2, 3]
-    assert paths.find(2, 2) == [2]
-    assert paths.find(0, 4) == []
-    assert paths.nearest(81.0, 2.0) == 0
 
 
 def test_a_walker_reaches_its_destination_and_takes_another_one() -> None:
