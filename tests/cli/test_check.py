@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
-import subprocess
-import time
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,9 +13,8 @@ from click.testing import CliRunner
 
 from carla_recap.cli.check import check
 from carla_recap.errors import RecapError
-from tests.cli.command import COMMAND, ENVIRONMENT, error, on_terminal, run, wrote
+from tests.cli.command import error, on_terminal, run, wrote
 from tests.samples import SAMPLES, names_in, save
-from tests.waiting import time_limit
 
 RULES = SAMPLES / "rules.toml"
 ALONE = ("--jobs", "1")
@@ -165,24 +161,6 @@ def test_names_that_are_no_text_are_printed_and_written(tmp_path):
         .get("classname")
         .endswith("caf\ufffd <&\ufffd[31m.mcap")
     )
-
-
-def test_an_interrupt_ends_it_and_leaves_no_pages(tmp_path):
-    (tmp_path / "runs").mkdir()
-    for number in range(400):
-        (tmp_path / "runs" / f"{number}.mcap").symlink_to(SAMPLES / "crash.mcap")
-    command = [COMMAND, "check", "-", "--rules", RULES, "--html", "out", "--jobs", "2"]
-    with subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ENVIRONMENT) as process:
-        process.stdin.write(b"runs\n")
-        process.stdin.close()
-        with time_limit():
-            while not list(tmp_path.glob(".out.*.partial")):
-                assert process.poll() is None
-                time.sleep(0.01)
-            process.send_signal(signal.SIGINT)
-            assert process.wait() == 130
-        assert process.stdout.read() == b""
-    assert names_in(tmp_path) == ["runs"]
 
 
 def test_all_faults_of_the_rules_are_lines_before_anything_is_read(tmp_path):

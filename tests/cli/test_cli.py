@@ -352,14 +352,6 @@ def test_recover(tmp_path):
     assert 100 < frames < 531
 
 
-@pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors"])
-def test_a_cut_log_is_a_warning(tmp_path, command):
-    cut = save(tmp_path / "cut.log", CROSSING.read_bytes()[:-10])
-    done = run(command, cut)
-    assert (done.returncode, done.stdout[:11]) == (0, b"Version: 1\n")
-    assert the_line(done.stderr).startswith(f"warning: {cut}: byte ")
-
-
 def test_a_cut_log_converts_with_a_warning(tmp_path):
     cut = save(tmp_path / f"cut{EVIL}.log", CROSSING.read_bytes()[:-10])
     done = run("convert", cut, tmp_path / "cut.mcap")
@@ -384,8 +376,11 @@ def long_log(tmp_path_factory) -> Path:
     return save(tmp_path_factory.mktemp("cli") / "long.log", data[:begin] + data[begin:] * 150)
 
 
-@pytest.mark.parametrize("command", ["convert", "recover"])
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)], ids=["term", "int"])
+@pytest.mark.parametrize(
+    ("command", "number", "code"),
+    [("convert", signal.SIGTERM, 143), ("recover", signal.SIGINT, 130)],
+    ids=["convert", "recover"],
+)
 def test_a_conversion_that_is_stopped_leaves_nothing(tmp_path, long_log, command, number, code):
     there = save(tmp_path / "there.mcap", b"precious")
     arguments = [COMMAND, command, long_log, there, "--force"]
@@ -393,7 +388,6 @@ def test_a_conversion_that_is_stopped_leaves_nothing(tmp_path, long_log, command
         with time_limit():
             while len(names_in(tmp_path)) < 2:  # until it writes, and not a moment longer
                 assert process.poll() is None
-        time.sleep(0.1)
         process.send_signal(number)
         output, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == code
@@ -404,9 +398,8 @@ def test_a_conversion_that_is_stopped_leaves_nothing(tmp_path, long_log, command
     assert there.read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize("arguments", [["info", "--all"], ["info", "--all", "--json"]], ids=" ".join)
-def test_the_reader_of_a_pipe_closes_it(arguments):
-    command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
+def test_the_reader_of_a_pipe_closes_it():
+    command = [COMMAND, "info", CROSSING, "--all"]
     with subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline()
         process.stdout.close()
@@ -433,19 +426,6 @@ def test_help():
         assert [name for name in COMMANDS if f"\n  {name} " in shown] == COMMANDS
 
 
-def test_help_without_a_command():
-    done = run()
-    assert done.returncode in (0, 2)
-    assert (done.stdout + done.stderr).startswith(b"Usage: carla-recap ")
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_of_a_command(command):
-    shown = answer(command, "--help")
-    assert shown.startswith(f"Usage: carla-recap {command} ")
-    assert "--help" in shown
-
-
 def test_version():
     assert answer("--version") == f"carla-recap, version {__version__}\n"
     command = [sys.executable, "-m", "carla_recap", "--version"]
@@ -467,7 +447,7 @@ def test_help_imports_nothing_heavy():
         assert not imported(*arguments) & heavy
 
 
-@pytest.mark.parametrize("command", ["info", "collisions", "blocked", "actors", "incidents"])
+@pytest.mark.parametrize("command", ["info", "incidents"])
 def test_a_query_imports_only_what_it_uses(command):
     """A small recording is read in less time than some packages take to import."""
     unused = {"asyncio", "google", "json", "lz4", "pyarrow", "rich", "shutil", "ssl"}

@@ -9,7 +9,6 @@ import shutil
 import sys
 from importlib.metadata import files
 
-import pytest
 from click.testing import CliRunner
 
 import carla_recap
@@ -108,17 +107,9 @@ def test_files_in_place_of_folders_are_named(monkeypatch, tmp_path):
     assert "\n  size           Not a directory\n" in text
 
 
-@pytest.mark.parametrize("error", ["OSError", "RuntimeError"])
-def test_a_broken_package_is_a_line(monkeypatch, tmp_path, error):
-    (tmp_path / "moderngl.py").write_text(f"raise {error}('libGL.so.1: cannot open')")
+def test_a_broken_package_is_a_line(monkeypatch, tmp_path):
+    (tmp_path / "moderngl.py").write_text("raise OSError('libGL.so.1: cannot open')")
     path = os.pathsep.join(filter(None, (str(tmp_path), ENVIRONMENT.get("PYTHONPATH"))))
     drawing = doctor(monkeypatch, PYTHONPATH=path)["drawing"]
     assert drawing["device"] is None
-    assert drawing["error"] == f"{error}: libGL.so.1: cannot open"
-
-
-def test_damaged_metadata_of_a_package_are_no_error(monkeypatch, tmp_path):
-    (tmp_path / "duckdb-1.0.dist-info").mkdir()
-    (tmp_path / "duckdb-1.0.dist-info" / "METADATA").write_bytes(b"\xff\xfe")
-    path = os.pathsep.join(filter(None, (str(tmp_path), ENVIRONMENT.get("PYTHONPATH"))))
-    assert doctor(monkeypatch, PYTHONPATH=path)["extras"]["sql"]["duckdb"] == "unknown (UnicodeDecodeError)"
+    assert drawing["error"] == "OSError: libGL.so.1: cannot open"

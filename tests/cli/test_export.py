@@ -202,13 +202,6 @@ def test_the_page_is_served_until_it_is_interrupted(tmp_path):
         assert process.wait(PATIENCE) == 0
 
 
-def test_a_viewer_without_a_display_is_an_error(monkeypatch):
-    environment = {name: value for name, value in ENVIRONMENT.items() if "DISPLAY" not in name}
-    done = run("view", CROSSING, env=environment)
-    assert done.returncode == 2
-    assert "--web" in the_line(done.stderr)
-
-
 def test_a_table_is_imported(tmp_path):
     (tmp_path / "tracks.csv").write_text("t,id,east,y\n0,7,1,2\n1,7,2,2\n")
     done = run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--column", "x=east", "--hero", "7")

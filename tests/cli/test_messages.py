@@ -96,6 +96,7 @@ def test_every_command_has_the_options_of_all_commands():
         options = [option for each in command.params for option in each.opts]
         assert [options.count(option) for option in ("-q", "--quiet", "-v", "--verbose")] == [1, 1, 1, 1], name
         assert ("--json" in options) == (name in WRITING + ASKING), name
+        assert command.get_help(click.Context(command, context, name)).startswith(f"Usage: {name} "), name
 
 
 @pytest.mark.parametrize("arguments", [("-q", "convert"), ("convert", "-q"), ("convert", "--quiet")], ids=" ".join)

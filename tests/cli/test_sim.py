@@ -11,7 +11,7 @@ import time
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, run, the_line, wrote
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, run, the_line, wrote
 from tests.waiting import PATIENCE, wait_until
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
@@ -32,10 +32,9 @@ def test_record(tmp_path):
         assert len(recording.heroes) == 1
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".log"])
-def test_the_same_seed_makes_the_same_bytes(tmp_path, suffix):
+def test_the_same_seed_makes_the_same_bytes(tmp_path):
     environment = ENVIRONMENT | {"SOURCE_DATE_EPOCH": "1767261600"}
-    paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
+    paths = [tmp_path / f"{name}.mcap" for name in "ab"]
     for path in paths:
         assert run("record", path, *FEW, env=environment).returncode == 0
     assert paths[0].read_bytes() == paths[1].read_bytes()
@@ -116,7 +115,7 @@ def test_traffic_begins_around_the_junction(tmp_path):
     assert all((way.x[0] - 120) ** 2 + (way.y[0] + 110) ** 2 < 81**2 for way in ways)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_completes_the_recording(tmp_path, number):
     path = tmp_path / "a.mcap"
     command = [COMMAND, "record", path, "--vehicles", "1", "--walkers", "0", "--duration", "inf"]
@@ -151,14 +150,6 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path, suffix):
         assert run("recover", left, path).returncode == 0
     with open_recording(path) as recording:
         assert 1 < recording.info.duration < 60
-
-
-def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
-    (tmp_path / "pymunk.py").write_text("raise ModuleNotFoundError('no pymunk here')")
-    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
-    done = run("record", tmp_path / "a.mcap", *FEW, env=environment)
-    assert done.returncode == 2
-    assert the_line(done.stderr).startswith("carla-recap record needs an optional dependency: pip install '.[sim]'")
 
 
 # --- replays -----------------------------------------------------------------------------------------------------------

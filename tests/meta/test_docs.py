@@ -22,11 +22,7 @@ from click import Context
 import carla_recap
 from carla_recap import MissingExtra, SensorRig
 from carla_recap.cli import cli
-from carla_recap.model.layout import Framing, Layout, Many
-from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Spawn, attributes
-from carla_recap.sensors.beams import MOST_LIDAR_RAYS, MOST_RADAR_RAYS
-from carla_recap.sensors.kinds import MOST_CHANNELS
-from carla_recap.sensors.rig import MOST_SENSORS
+from carla_recap.model.records import NO_ACTOR, ActorKind, Spawn, attributes
 from tests.cli.command import printed
 from tests.samples import ROOT
 from tests.waiting import PATIENCE
@@ -39,9 +35,7 @@ if TYPE_CHECKING:
 PACKAGE = Path(carla_recap.__file__).parent
 PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
-RECORDS = (ROOT / "docs" / "records.md").read_text("utf-8")
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
-SENSORS = (ROOT / "docs" / "sensors.md").read_text("utf-8")
 FILES = {
     "run.mcap": "crash.mcap",
     "run.log": "crossing.log",
@@ -57,28 +51,6 @@ NOT_RUN = re.compile(
     r")"
 )
 """Commands of which only the options are checked."""
-ENUMS = {
-    "spawned": "ActorKind",
-    "wheels": "WheelLocation",
-    "doors": "DoorLocation",
-    "light_states": "TrafficLightColor",
-    "scene_lights": "SceneLightGroup",
-}
-
-every_type = pytest.mark.parametrize("type", UE4, ids=lambda type: type.name)
-
-
-def section(name: str) -> str:
-    """Return the section of docs/records.md about a record type."""
-    (found,) = re.findall(rf"^### [^\n]*`{name}`.*?(?=^##|\Z)", RECORDS, re.DOTALL | re.MULTILINE)
-    return found
-
-
-def field_names(layout: Layout) -> Iterator[str]:
-    for name, kind in layout.fields.items():
-        yield name
-        if isinstance(kind, Many):
-            yield from field_names(kind.layouts[0])
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -88,62 +60,10 @@ def blocks(page: Path, language: str) -> list[str]:
 # --- contents ---------------------------------------------------------------------------------------
 
 
-@every_type
-def test_a_record_type_has_a_section(type):
-    words = section(type.name)
-    missing = [name for name in field_names(type.layout) if f"`{name}`" not in words]
-    assert not missing
-    assert f"`{type.topic}`" in words or not type.topic
-    assert ("additional data" in words) == type.additional
-    if type.layout.make:
-        assert f"a list of `{type.layout.make.__name__}`" in words
-    elif type.framing is Framing.LIST:
-        assert "; an array." in words
-
-
-@pytest.mark.parametrize(("name", "enum"), ENUMS.items(), ids=ENUMS)
-def test_the_values_of_an_enumeration_are_listed(name, enum):
-    values = getattr(import_module(f"carla_recap.v1.{name}_pb2"), enum).DESCRIPTOR.values
-    prefix = re.sub("(?<=[a-z])(?=[A-Z])", "_", enum).upper() + "_"
-    for value in values:
-        assert f"{value.number} {value.name.removeprefix(prefix).replace('_', ' ').lower()}" in section(name)
-
-
-def test_each_section_about_records_is_about_a_record_type():
-    headings = set(re.findall(r"`(\w+)`", " ".join(re.findall("^### .*$", RECORDS, re.MULTILINE))))
-    assert headings == {type.name for type in UE4}
-
-
 def test_the_table_of_calls_is_up_to_date():
     pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
     script = runpy.run_path(str(ROOT / "tools" / "make-calls"))
     assert script["PAGE"].read_text("utf-8") == script["page"](), "run tools/make-calls"
-
-
-def test_the_page_of_calls_names_every_method_of_the_client():
-    carla = pytest.importorskip("carla", reason="the client is not installed")
-    page = (ROOT / "docs" / "calls.md").read_text("utf-8")
-    methods = tomllib.loads((ROOT / "tools" / "client-methods.toml").read_text("utf-8"))
-    for name, entry in methods.items():
-        listed = {*entry["alone"], *entry.get("calls", {})}
-        assert listed == {member for member in vars(getattr(carla, name)) if not member.startswith("_")}, name
-        assert [member for member in listed if f"`{name}.{member}`" not in page] == []
-
-
-def test_the_methods_of_a_metrics_log_are_listed():
-    from carla_recap.metrics import MetricsLog
-
-    methods = [name for name in vars(MetricsLog) if name.startswith(("get_", "is_"))]
-    page = (ROOT / "docs" / "scenario-runner.md").read_text("utf-8")
-    assert f"All {len(methods)} methods" in page
-    assert [name for name in methods if f"`{name}`" not in page] == []
-
-
-def test_the_limits_of_lidars_and_radars_are_named():
-    text = " ".join(SENSORS.split())
-    assert f"A lidar has {MOST_CHANNELS} channels at most, and {MOST_LIDAR_RAYS:,} rays in a frame" in text
-    assert f"a radar has {MOST_RADAR_RAYS:,} rays" in text
-    assert f"a rig {MOST_SENSORS} sensors" in text
 
 
 def test_the_rig_on_the_page_is_one():
@@ -360,12 +280,6 @@ def invocations(page: Path) -> Iterator[list[str]]:
                 yield shlex.split(part)[1:]
 
 
-def test_nearly_all_commands_are_run():
-    """A command of which only the options are checked has a reason."""
-    every = [command for page in PAGES for command, _ in commands(page)]
-    assert len([command for command in every if NOT_RUN.match(command)]) <= len(every) / 4
-
-
 def test_the_rules_of_a_page_can_be_loaded(tmp_path):
     counts = []
     for rules in blocks(ROOT / "docs" / "ci.md", "toml"):
@@ -392,14 +306,6 @@ def test_a_question_about_parquet_files_is_answered(working_directory):
         carla_recap.export_parquet(recording, "crossing")
     with duckdb.connect() as connection:
         assert connection.sql(question).fetchall()
-
-
-@pytest.mark.parametrize(
-    ("page", "code"), [(page.name, code) for page in PAGES for code in blocks(page, "py")], ids=lambda value: value[:24]
-)
-def test_code_for_other_programs_is_valid(page, code):
-    """Tests for pytest, and metrics for ScenarioRunner; tests/test_pytest_plugin.py and tests/metrics run such."""
-    assert compile(code, page, "exec")
 
 
 def commands(page: Path) -> list[tuple[str, str]]:

@@ -156,14 +156,3 @@ def test_a_workflow_is_yaml_and_its_commands_exist(path):
         assert set(re.findall(r"--[a-z]+", line)) <= options
     for name in re.findall(r"samples/[\w./-]+", text):
         assert (SAMPLES.parent / name).exists(), name
-
-
-def test_there_are_workflows_for_both():
-    assert [path.name for path in WORKFLOWS] == ["github-actions.yml", "gitlab-ci.yml"]
-
-
-def test_gitlab_shows_the_junit_file_that_is_written():
-    text = (SAMPLES / "ci" / "gitlab-ci.yml").read_text("utf-8")
-    assert "--junit junit.xml" in text
-    assert "junit: junit.xml" in text
-    assert "when: always" in text

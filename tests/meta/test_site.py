@@ -37,8 +37,3 @@ def test_links_that_resolve(tmp_path):
 )
 def test_a_link_that_does_not_resolve(tmp_path, page, fault):
     assert check(tmp_path, page) == (1, [f"index.html: {fault}"])
-
-
-def test_a_folder_without_pages(tmp_path):
-    done = subprocess.run([sys.executable, TOOL, tmp_path], capture_output=True, timeout=60, check=False)
-    assert done.returncode == 1

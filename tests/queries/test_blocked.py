@@ -20,7 +20,6 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests.cli.command import CROSSING
 from tests.samples import reading
 from tests.twins.stationary import stationary
-from tests.waiting import time_limit
 
 if TYPE_CHECKING:
     from tests.queries.conftest import Make
@@ -69,17 +68,6 @@ def test_a_spawn_begins_anew(make: Make) -> None:
     assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
 
 
-@pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
-def test_an_interval_of_exactly_the_minimum_time(make: Make, drive: int, stand: int) -> None:
-    """It is summed up frame by frame; the difference of two times would be rounded otherwise."""
-    frames = [at((1, 100.0 * (frame + 1))) for frame in range(drive)]
-    frames += [frames[-1]] * (stand - 1) + [at((1, 0.0))]
-    length = float(np.cumsum([0.1] * (stand - 1))[-1])  # `sum` compensates from Python 3.12 on
-    reader = make(*frames, durations=[0.1] * len(frames))
-    assert [row.duration for row in blocked(reader, length)] == [length]
-    assert blocked(reader, math.nextafter(length, math.inf)) == []
-
-
 def test_ties(make: Make) -> None:
     """By start, then id; in CARLA, intervals that ended first, then the actor that was added last first."""
     spawned = {"spawned": [spawn(id) for id in (5, 1, 9, 4)]}
@@ -119,24 +107,6 @@ def test_without_a_spawn_carla_forgets_actor_0(make: Make) -> None:
     reader = make(both, both, [{"destroyed": [(9,)]}, at((5, 1))], {})
     assert [row.id for row in blocked(reader, 0.5, compat=True)] == [5]
     assert [row.id for row in blocked(reader, 0.5)] == [5, 0]
-
-
-def test_a_repeated_record_behind_packets_without_one(make: Make) -> None:
-    """Intervals of the same length that end in different frames come in the order of the frames."""
-    reader = make(at((1, 100), (2, 0)), at((1, 100), (2, 100)), at((1, 200), (2, 200), (1, 300)), {})
-    rows = blocked(reader, 0.5, compat=True)
-    assert [(row.id, row.start) for row in rows] == [(2, 0.0), (1, 0.5)]
-
-
-def test_an_actor_that_is_listed_thousands_of_times(make: Make) -> None:
-    count = 6_000
-    transforms = np.zeros(count, Header("Town01", 0).table.named("transforms").dtype)
-    transforms["id"] = 7
-    transforms["x"] = np.where(np.arange(count) % 3 == 2, 100.0, 0.0)
-    with time_limit():
-        reader = make(*[{"transforms": transforms}] * 3, {})
-        rows = blocked(reader, 0.5, compat=True)
-    assert [row.duration for row in rows] == [1.0] + [0.5] * (count - 1)
 
 
 @pytest.mark.parametrize("compat", [False, True])

@@ -104,11 +104,6 @@ def test_a_contact_is_one_incident(make: Make) -> None:
     assert (row.x, row.y, row.z) == (5.0, 0.0, 0.5)
 
 
-def test_a_second_without_a_record_ends_a_contact(make: Make) -> None:
-    rows = collided(make({"spawned": CAST}, contact(3, 2), {}, contact(3, 2), contact(3, 2)))
-    assert [(row.start, row.stop) for row in rows] == [(TICK, TICK), (3 * TICK, 4 * TICK)]
-
-
 @pytest.mark.parametrize(
     ("hit", "actors", "text"),
     [
@@ -128,11 +123,6 @@ def test_who_comes_first(make: Make, hit: tuple[int, ...], actors: tuple[int, ..
     (row,) = collided(make({"spawned": CAST}, contact(*hit)))
     assert (row.actors, row.text) == (actors, text)
     assert len(row.type_ids) == len(actors)
-
-
-def test_the_place_is_that_of_the_first_actor_at_the_start(make: Make) -> None:
-    (row,) = collided(make({"spawned": CAST}, contact(2, 1, 0, 1)))
-    assert (row.x, row.y, row.z) == (1.0, -2.0, 0.5)
 
 
 def test_an_unknown_position(make: Make) -> None:
@@ -217,15 +207,6 @@ def test_hard_braking(tmp_path: Path, suffix: str, recorded: bool, deceleration:
     assert re.fullmatch(r"vehicle.b \(3\) brakes hard at (69|70|71|72) km/h", row.text)
 
 
-def test_what_no_brakes_can_do_is_no_hard_braking(tmp_path: Path, suffix: str) -> None:
-    """Such as faulty velocities; the decelerations that are left are the hardest ones."""
-    faulty = [*[200.0] * 20, *np.linspace(200, 0, 13).tolist(), *[0.0] * 20]
-    path = drive(tmp_path / f"faulty{suffix}", ways([1.0] * len(faulty)), faulty)
-    assert braked(path) == braked(path, start=0.0, stop=3.0) == []
-    (row,) = braked(drive(tmp_path / f"drive{suffix}", ways(slowing(9.0)), slowing(9.0)))
-    assert row.value == pytest.approx(9.0, abs=0.1)
-
-
 def test_an_emergency_stop_from_a_low_speed_is_hard_braking_and_a_crash_at_it_is_not(tmp_path: Path, suffix: str) -> None:
     """CARLA's tyres stop a car with 30 m/s² from 6.5 m/s, in 0.22 s; a wall that is recorded or not does so in less."""
     stop, crash = slowing(30.0, speed=6.5), [6.5] * 20 + [0.0] * 60
@@ -280,12 +261,6 @@ def test_in_order_of_start_then_kind(make: Make) -> None:
     assert {row.kind for row in rows} == {"blocked", "collision"}
 
 
-def test_of_nothing(make: Make) -> None:
-    answer = incidents(make())
-    assert answer == []
-    assert answer.extent.frames == 0
-
-
 def test_reports(make: Make) -> None:
     answer = incidents(make({"spawned": CAST}, contact(1, NO_ACTOR)))
     (row,) = stdlib.loads("".join(json_text(answer)))["rows"]
@@ -320,11 +295,6 @@ def test_the_value_of_hard_braking_that_a_collision_ends_is_from_before(tmp_path
     (row,) = braked(drive(tmp_path / f"crash{suffix}", ways(speeds), speeds, **hit))
     assert row.value == pytest.approx(7.0, abs=0.1)
     assert row.start <= row.time <= row.stop < 2.0
-
-
-def test_values_are_columns(make: Make) -> None:
-    columns = incidents(make({"spawned": CAST}, contact(1, 2))).columns()
-    assert {"measure", "value", "unit", "threshold", "time"} <= columns.keys()
 
 
 # --- near misses ---------------------------------------------------------------------------------------

@@ -6,16 +6,13 @@ import json
 
 import pytest
 
-from carla_recap import RecapError, RecapWarning, load_rules, open_recording
-from carla_recap.fleet.check import check_sources
-from carla_recap.fleet.sources import SourceFile
+from carla_recap import RecapError, RecapWarning, open_recording
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.output.json import json as json_text
 from carla_recap.output.text import text
 from carla_recap.queries.info import info
 from carla_recap.queries.summary import summary
-from tests.cli.command import CROSSING
 from tests.samples import drive, reading, write
 from tests.sensed import HEADER, camera, plain, sensed
 
@@ -106,15 +103,6 @@ def test_topics_elsewhere_are_no_sensors(tmp_path, name):
         assert name in recording.reader.further_topics()
 
 
-def test_a_closed_recording_has_no_more_messages(tmp_path):
-    recording = open_recording(sensed(tmp_path / "run.mcap", seconds=2))
-    messages = recording.sensor_messages("front")
-    next(messages)
-    recording.close()
-    with pytest.raises(RecapError, match="is closed"):
-        list(messages)
-
-
 # --- where they are listed ------------------------------------------------------------------------------------
 
 
@@ -150,14 +138,3 @@ def test_names_of_sensors_cannot_control_a_terminal(tmp_path):
         printed = "".join(text(summary(reader)))
     assert "\x1b" not in printed
     assert r"Sensor data: \x1b[31m (\x1b[2J)" in printed
-
-
-def test_a_check_lists_them(run):
-    (checked,) = check_sources([SourceFile(str(run))], load_rules(CROSSING.with_name("rules.toml")), jobs=1)
-    assert checked.sensors == ("front",)
-
-
-def test_recordings_do_not_differ_in_them(run, tmp_path):
-    write(tmp_path / "run.mcap", HEADER, drive(10.0))
-    with open_recording(run) as one, open_recording(tmp_path / "run.mcap") as other:
-        assert one.diff(other).equal

@@ -285,14 +285,6 @@ def test_collisions_before_the_beginning_are_recalled(played, start, marks):
     assert not (found[-1].models == INDEX["collision mark"]).any()
 
 
-def test_collisions_after_the_beginning_are_not_recalled(played):
-    actors, player = SceneActors(), played(*accident())
-    actors.recall(player)
-    found = actors.at(player.at(0.0))
-    assert found.ids.tolist() == [CAR, WALKER, LIGHT]
-    assert found.rotations[1, 2, 2] == pytest.approx(1)
-
-
 def test_neighbouring_vehicles_without_a_recorded_colour_have_different_ones():
     for step in (1, 2, 3, 4, 5):
         colors = [look_of("vehicle.audi.tt", ActorKind.VEHICLE, {}, id=200 + step * number).color for number in range(10)]

@@ -170,8 +170,3 @@ def test_invalid_options_are_errors(
     with pytest.raises(RecapError, match=message):
         clips(crossing[".log"], tmp_path / "clips", rerun=False, **options)
     assert names_in(tmp_path) == []
-
-
-def test_no_incidents(small: Path, tmp_path: Path) -> None:
-    assert clips(small, tmp_path / "clips", IncidentOptions(kinds=[]), rerun=False) == []
-    assert names_in(tmp_path / "clips") == []

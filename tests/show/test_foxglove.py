@@ -7,14 +7,13 @@ import math
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from carla_recap import NotARecording, RecapWarning, Spawn, open_recording
-from carla_recap.model.records import UE4, ActorKind
+from carla_recap import NotARecording, RecapWarning, open_recording
+from carla_recap.model.records import UE4
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.foxglove import export_foxglove, layout_files
@@ -237,13 +236,6 @@ def test_further_actors_of_a_crowd_are_boxes(record, monkeypatch):
     assert [len(entity.cubes) for entity in bodies(topics).values()] == [0, 0, 0, 1, 1]
 
 
-def test_a_prop_without_a_recorded_box_is_solid(record):
-    bag = Spawn(2, ActorKind.OTHER, type_id="static.prop.bag")
-    entities = bodies(record({"spawned": [spawn(1), bag], "transforms": [pose(1), pose(2)]}))
-    for name in ("actor 1", "actor 2"):
-        assert {shape.color.a for shape in entities[name].triangles} == {1.0}
-
-
 @pytest.mark.parametrize(
     ("xs", "shown", "known", "framed"),
     [
@@ -333,11 +325,6 @@ def test_lights_are_written_when_they_change_and_at_the_end(record):
     assert topics["/lights"][0][1].lights[0].entity in seen(topics["/scene/signals"])
 
 
-def test_lamps_go_with_their_vehicle(record):
-    topics = record({"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]}, {"destroyed": [1]}, {})
-    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(2)] == [True, False]
-
-
 # --- the followed actor --------------------------------------------------------------------------------------------
 
 
@@ -390,17 +377,6 @@ def test_the_log_has_actors_and_each_contact_once(crossing):
     assert sum("collides" in text for _, text, _ in lines) == 2
 
 
-def test_the_log_has_hard_braking_and_long_stops(tmp_path):
-    export(ROOT / "samples" / "crash.mcap", tmp_path / "export.mcap")
-    with open_recording(ROOT / "samples" / "crash.mcap") as recording:
-        expected = [incident for incident in recording.incidents() if incident.kind != "collision"]
-    lines = [(time, line) for time, line in read(tmp_path / "export.mcap")["/log"] if line.name == "incidents"]
-    assert expected
-    assert [line.message for _, line in lines] == [incident.text for incident in expected]
-    assert [time for time, _ in lines] == pytest.approx([incident.start for incident in expected], abs=0.06)
-    assert all(line.timestamp.ToNanoseconds() % 10**9 == round(time * 1e9) % 10**9 for time, line in lines)
-
-
 # --- the map -------------------------------------------------------------------------------------------------------
 
 
@@ -433,13 +409,6 @@ def test_without_a_map_the_driven_corridors_are_roads(crossing):
     driven = [(transform.translation.x, transform.translation.y) for _, transform in moves(crossing, HERO)]
     for x, y in driven[::50]:
         assert np.hypot(*(points - (x, y)).T).min() < 5.0
-
-
-def test_instead_of_a_map_whose_surfaces_cannot_be_made_corridors_are_shown(tmp_path, brickfield):
-    broken = replace(brickfield, opendrive="no map")
-    with pytest.warns(RecapWarning, match="the roads have no surfaces"):
-        export(ROOT / "samples" / "crash.mcap", tmp_path / "a.mcap", road_map=broken, duration=0.2)
-    assert read(tmp_path / "a.mcap")["/map"][0][1].entities
 
 
 # --- the layouts ---------------------------------------------------------------------------------------------------
@@ -494,19 +463,6 @@ def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
                     .DESCRIPTOR.fields_by_name[fields[0].removesuffix("[:]")]
                     .message_type.fields_by_name
                 )
-
-
-def test_a_layout_follows_from_behind(layout, crossing):
-    (_, config), (_, above) = [panel for panel in panels(layout) if panel[0] in ("3D", "ThreeDee")]
-    frames = {transform.child_frame_id for _, message in crossing["/tf"] for transform in message.transforms}
-    assert config["followTf"] in frames
-    assert config["followMode"] == "follow-pose"
-    # Where Foxglove puts the camera: spherical coordinates around a target, from the y axis on.
-    camera = config["cameraState"]
-    distance, phi, theta = camera["distance"], math.radians(camera["phi"]), -math.radians(camera["thetaOffset"])
-    place = np.array([math.sin(phi) * math.sin(theta), -math.sin(phi) * math.cos(theta), math.cos(phi)]) * distance
-    assert place + camera["targetOffset"] == pytest.approx([-9, 0, 4.5], abs=0.02)
-    assert (above["followTf"], above["cameraState"]["phi"], above["cameraState"]["perspective"]) == ("followed", 0, False)
 
 
 def test_no_topic_is_one_of_a_recording():

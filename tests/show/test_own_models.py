@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import subprocess
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +16,8 @@ from carla_recap.model.records import ActorKind
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
-from tests.cli.command import COMMAND, ENVIRONMENT, the_line
-from tests.samples import names_in
 from tests.scene.glb import boxes, color, glb, square
 from tests.show.conftest import SAMPLE
-from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,13 +54,6 @@ def test_the_model_fills_the_box_of_its_actor(folder):
     assert (model.mesh.vertices[lamp][:, 0] < -0.99).all()
     unlit = MATERIALS[Material.BRAKE_LIGHT].color
     assert {tuple(row) for row in model.mesh.painted((10, 20, 30)).tolist()} == {MAGENTA, (10, 20, 30), unlit}
-
-
-def test_other_blueprints_keep_their_models(folder):
-    ours = look_of("vehicle.audi.tt", ActorKind.VEHICLE, {})
-    use_models(folder)
-    assert look_of("vehicle.audi.tt", ActorKind.VEHICLE, {}) == ours
-    assert look_of("vehicle.tesla.model_3", ActorKind.VEHICLE, {}).model != ours.model
 
 
 def test_a_model_without_size_and_a_file_with_control_characters_are_refused_in_one_line(tmp_path):
@@ -143,20 +132,3 @@ def test_textures_are_said_to_be_ignored(tmp_path):
     with pytest.warns(RecapWarning, match="vehicle.a.b.glb: the textures are not shown"):
         use_models(tmp_path)
     use_models(None)
-
-
-def test_the_command_ends_before_it_writes(tmp_path):
-    (tmp_path / "models").mkdir()
-    (tmp_path / "models" / "vehicle.audi.tt.glb").write_bytes(b"glTF")
-    command = [COMMAND, "snapshot", SAMPLE, tmp_path / "out.png", "--models", tmp_path / "models"]
-    done = subprocess.run(command, capture_output=True, env=ENVIRONMENT, timeout=PATIENCE)
-    assert done.returncode == 2
-    assert "vehicle.audi.tt.glb" in the_line(done.stderr)
-    assert names_in(tmp_path) == ["models"]
-
-
-def test_a_link_to_itself_is_an_error_with_its_name(tmp_path: Path):
-    link = tmp_path / "vehicle.tesla.model3.glb"
-    link.symlink_to(link.name)
-    with pytest.raises(RecapError, match=r"model3\.glb: the model cannot be read"):
-        use_models(tmp_path)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import os
 import signal
-import subprocess
-import sys
 
 import pytest
 
@@ -15,10 +13,10 @@ pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
 import psutil
 from PIL import Image
 
-from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.errors import RecapError
 from carla_recap.show import viewer
 from tests.screenshots import ScreenshotTaker
-from tests.waiting import PATIENCE, time_limit
+from tests.waiting import time_limit
 
 
 def runs(pid: int) -> bool:
@@ -90,28 +88,3 @@ def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
         pid = screenshots._process.pid
         os.kill(pid, signal.SIGSTOP)
     assert not runs(pid)
-
-
-WAITING = """
-import sys, time
-from tests.screenshots import ScreenshotTaker
-with ScreenshotTaker(sys.argv[1]) as screenshots:
-    print(screenshots._process.pid, flush=True)
-    time.sleep(1000)
-"""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_a_terminated_process_ends_its_viewer(crossing_rrd, temporary):
-    with subprocess.Popen([sys.executable, "-c", WAITING, crossing_rrd], stdout=subprocess.PIPE, text=True) as process:
-        pid = int(process.stdout.readline())
-        assert runs(pid)
-        process.terminate()
-        assert process.wait(PATIENCE) == 128 + signal.SIGTERM
-    assert not runs(pid)
-
-
-def test_without_the_viewer_the_error_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun_cli", None)
-    with pytest.raises(MissingExtra, match=r"the Rerun viewer needs .*\.\[rerun\]"):
-        ScreenshotTaker("any.rrd").__enter__()

@@ -129,13 +129,6 @@ def test_a_recorded_collision_is_a_contact(drive: Drive, suffix: str) -> None:
     assert of(measures(drive(cars, seconds=4)))["gap"].value == pytest.approx(0.057, abs=1e-3)
 
 
-def test_a_recorded_collision_of_an_actor_without_a_pose_then_is_a_contact_in_its_next_frame(drive: Drive) -> None:
-    cars = [straight(1, 0, 0, 5, role_name="hero", present=lambda t: round(t * 20) % 2 == 0), straight(2, 10, 2.76, 0)]
-    found = of(measures(drive(cars, events={41: {"collisions": [(0, 1, 2, 1, 0)]}})))
-    for name in ("gap", "time_to_collision"):
-        assert (found[name].value, found[name].time, found[name].other) == (0, pytest.approx(2.1), 2)
-
-
 @pytest.mark.parametrize("yaw", [0.0, 180.0])
 def test_in_reverse_an_actor_comes_as_near_to_what_it_backs_towards(drive: Drive, yaw: float) -> None:
     """It stops 0.5 m before a parked car, and stands there for long."""
@@ -295,19 +288,6 @@ def test_over_time(drive: Drive) -> None:
         time_series(reader, 4)
 
 
-@pytest.mark.parametrize("elements", [64, 1 << 20])
-def test_of_several_at_the_same_distance_the_least_id_is_named(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch, elements: int
-) -> None:
-    """Boxes that overlap, whichever actors are measured and however few pairs are compared at once."""
-    monkeypatch.setattr(pairs, "ELEMENTS", elements)
-    reader = drive([Mover(id, lambda t, id=id: id / 4) for id in (1, 2, 3, 4)], seconds=0.5)  # type: ignore[misc]
-    for actors in ([1, 2, 3, 4], [3, 4], [2, 3]):
-        series = measures_over_time(reader, actors).series
-        for id in actors:
-            assert set(series[id].nearest) == set(series[id].threat) == {2 if id == 1 else 1}
-
-
 @pytest.mark.parametrize("pair", [("hero", "hero"), ("hero", 1), (1, "hero"), (2, 2)])
 def test_a_pair_is_two_different_actors(drive: Drive, pair: tuple[Any, Any]) -> None:
     reader = drive([straight(1, 0, 0, 15, role_name="hero"), straight(2, 40, 0, 10)], seconds=0.5)
@@ -371,21 +351,6 @@ def test_rows_over_time_are_those_of_the_series(drive: Drive) -> None:
     assert {row.leader for row in both if row.actor == 2} == {None}
     with pytest.raises(RecapError, match="no vehicle or walker 4"):
         measures_over_time(reader, [4])
-
-
-def test_a_straight_line_out_of_a_bend_is_no_collision_course(drive: Drive) -> None:
-    def bend(id: int, radius: float, speed: float, start: float, **given: Any) -> Mover:
-        def angle(t: float) -> float:
-            return start + speed * t / radius
-
-        def yaw(t: float) -> float:
-            return math.degrees(angle(t)) + math.copysign(90, speed)
-
-        return Mover(id, lambda t: radius * math.cos(angle(t)), lambda t: radius * math.sin(angle(t)), yaw, **given)
-
-    reader = drive([bend(1, 25, 9, 0, role_name="hero"), bend(2, 28.5, -9, 2.5)], seconds=6)
-    assert time_series(reader, 1).time_to_collision.min() < 1.5
-    assert values(measures(reader)).get("time_to_collision", math.inf) >= 3
 
 
 def test_the_time_of_a_value_is_the_first_that_has_it(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:

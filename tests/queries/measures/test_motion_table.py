@@ -140,29 +140,6 @@ def test_an_actor_that_jumps_does_not_count_for_half_a_second_before_and_after(d
     assert np.isnan(table.vx[0, absent]).all()
 
 
-def test_a_velocity_that_no_actor_has_is_replaced_by_the_slope_of_the_positions(drive: Drive) -> None:
-    fast = {
-        10: {"velocities": [(1, 150.0, 0.0, 0.0, 0.0, 0.0, 0.0)]},
-        12: {"velocities": [(1, 149.0, 0.0, 0.0, 0.0, 0.0, 0.0)]},
-    }
-    (table,) = tables_of(drive([Mover(1, lambda t: 5 * t * t)], seconds=1, events=fast))
-    assert table.vx[0, 10] == pytest.approx(10 * 0.5, abs=1e-3)
-    assert table.vx[0, 12] == pytest.approx(149.0, abs=1e-3)
-
-
-def test_the_first_and_last_velocity_are_those_of_their_only_step(drive: Drive) -> None:
-    (table,) = tables_of(drive([Mover(1, lambda t: 5 * t * t, lambda t: -3 * t, has_velocity=False)], seconds=1))
-    assert table.vx[0, [0, 1, 10, 20]] == pytest.approx([0.25, 0.5, 5.0, 9.75], abs=2e-3)
-    assert table.vy[0] == pytest.approx(-3, abs=2e-3)
-
-
-def test_a_step_of_more_than_a_second_gives_no_velocity(drive: Drive) -> None:
-    for rate, known in ((1.0, True), (0.9, False)):
-        (table,) = tables_of(drive([Mover(1, lambda t: 5 * t, has_velocity=False)], seconds=10, rate=rate))
-        assert np.isfinite(table.vx).all() == np.isfinite(table.vx).any() == known
-        assert np.isfinite(table.x).all()
-
-
 @pytest.mark.parametrize(
     ("given", "size"),
     [

@@ -104,14 +104,6 @@ def test_no_near_miss(drive: Drive, other: Mover) -> None:
     assert near_misses(drive([straight(1, 0, 0, 15), other], seconds=8)) == []
 
 
-def test_pedestrians_do_not_nearly_miss_each_other(drive: Drive) -> None:
-    walkers = [
-        straight(id, x, 0, 3, yaw=yaw, kind=2, type_id="walker.a", size=(0.5, 0.5))
-        for id, x, yaw in ((1, 0, 0), (2, 10, 180))
-    ]
-    assert near_misses(drive(walkers, seconds=1.5)) == []
-
-
 # --- where paths cross ----------------------------------------------------------------------------------
 
 

@@ -82,14 +82,6 @@ def test_pairs_have_a_subject_and_a_vehicle_and_no_one_is_attached():
     assert pairs_of(table_of([0, 1], is_vehicle=False), 10.0) == set()
 
 
-@pytest.mark.parametrize(
-    ("yaw", "expected"), [(0.0, (9, 18, 27)), (np.pi / 2, (12, 19, 27)), (np.pi, (11, 22, 27)), (-np.pi / 2, (8, 21, 27))]
-)
-def test_the_location_of_an_actor_is_off_the_centre_of_its_box(yaw, expected):
-    table = table_of([10], y=20, z=30, offset=(1, 2, 3), yaw=yaw)
-    assert table.location(0, 1) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize(("distance", "seconds"), [(50.0, 4.6), (103.9, 9.99), (104.1, np.inf)])
 def test_times_to_collision_are_known_up_to_a_horizon(distance, seconds):
     """Boxes of 4 m length close up at 10 m/s."""

@@ -26,7 +26,7 @@ from carla_recap.sim.traffic.spawning import populate
 from tests.queries.conftest import write
 from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 from tests.roads.towns import town
-from tests.samples import carla_log
+from tests.samples import SAMPLES, carla_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -231,20 +231,12 @@ def test_slowing_down_is_not_stopping(drives: Drives) -> None:
     assert [event.kind for event in drives(_west([6.0] * 30 + [1.0] * 60 + [6.0] * 30))] == ["stop sign"]
 
 
-def test_stopping_before_the_line_is(drives: Drives) -> None:
-    assert drives(_west([6.0] * 36 + [0.0] * 20 + [4.0] * 60)) == []
-
-
 @pytest.mark.parametrize("stands", [True, False])
 def test_stopping_counts_though_a_part_begins_after_it(drives: Drives, stands: bool) -> None:
     drives(_west([6.0] * 36 + ([0.0] * 20 if stands else []) + [4.0] * 60))
     with closing(open_reader(drives.path)) as reader:
         part = IncidentOptions(kinds=["stop sign"], roads=drives.roads, start=(57 if stands else 37) * TICK)
         assert len(incidents(reader, part)) == (0 if stands else 1)
-
-
-def test_stopping_too_far_away_is_not(drives: Drives) -> None:
-    assert [event.kind for event in drives(_west([6.0] * 8 + [0.0] * 20 + [6.0] * 60))] == ["stop sign"]
 
 
 @pytest.mark.parametrize(("metres", "counts"), [(7.9, True), (8.1, False), (0.1, True)])
@@ -387,11 +379,6 @@ def test_by_default_they_are_none(drive: Reader, roads: RoadNetwork) -> None:
     assert incidents(drive, IncidentOptions(roads=roads)) == []
 
 
-def test_some_kinds_can_be_asked_for(drive: Reader, roads: RoadNetwork) -> None:
-    rows = incidents(drive, IncidentOptions(kinds=["red light", "collision"], roads=roads))
-    assert [row.kind for row in rows] == ["red light"]
-
-
 # --- recordings that are odd ---------------------------------------------------------------------------------------------
 
 
@@ -484,16 +471,9 @@ def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_othe
         assert event.text.endswith(f" (light {runners[event.actor.id][2]})")
 
 
-def test_law_abiding_traffic_breaks_no_rule(tmp_path: Path) -> None:
+def test_law_abiding_traffic_breaks_no_rule() -> None:
     """Half a minute of it; `benchmarks/` has ten."""
-    pytest.importorskip("carla", reason="the extra `carla` is not installed")
-    world = World(seed=1)
-    populate(world, 60, 0)
-    recording = world.start_recorder(tmp_path / "traffic.mcap")
-    for _ in range(600):
-        world.tick()
-    world.stop_recorder()
-    assert events_in(recording) == []
+    assert events_in(SAMPLES / "junction.mcap") == []
 
 
 def test_who_gets_the_id_of_a_vehicle_on_the_road_has_not_left_it(drives: Drives) -> None:
@@ -533,12 +513,3 @@ def test_a_calm_drive_in_town01_breaks_no_rule(name: str) -> None:
         assert len(LightHistory(reader, roads).signals) == 36  # all lights of the map are recorded
     finally:
         reader.close()
-
-
-def test_signalling_nan_is_no_place_and_no_warning(roads: RoadNetwork, tmp_path: Path) -> None:
-    drives = Drives(roads, tmp_path / "drive.log")
-    drives(path([-33.25] * 20, -1.75))
-    damaged = drives.path.read_bytes().replace(np.float32(-3325).tobytes(), np.uint32(0x7F800001).tobytes())
-    drives.path.write_bytes(damaged)
-    with closing(open_reader(drives.path)) as reader:
-        assert drives.search(reader) == []

@@ -385,8 +385,3 @@ def test_without_a_route_a_hero_that_stands_has_driven_until_it_is_blocked(drive
         assert drives(stands, route=None, tick=10.0).status == "Driven"
     found = drives(westward([1.0, *[0.0] * 190]), route=None, tick=1.0)
     assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
-
-
-def test_the_place_of_a_collision_is_that_in_its_text(drives: Drives) -> None:
-    found = drives(WHOLE, others={OTHER: (WALKER, beside())}, touches=[(80, OTHER)]).infractions[0]
-    assert f"(x={round(found.x, 3)}, y={round(-found.y, 3)}, " in found.text

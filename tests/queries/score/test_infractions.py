@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import pytest
 
 from carla_recap.queries.score import INFRACTIONS, Infraction
 from carla_recap.queries.score.infractions import penalty_of
 
-SCORES = (Path(__file__).parents[3] / "docs" / "scores.md").read_text("utf-8")
-TABLE = SCORES.partition("## Infractions")[2].partition("\n## ")[0]
-
 
 def infraction(kind: str, share: float = 1.0) -> Infraction:
     return Infraction(kind, 1.0, 0.0, 0.0, 0.0, None, "", share, "")
-
-
-def test_the_documentation_lists_the_table() -> None:
-    rows = dict(re.findall(r"^\| `(\w+)` \| (.*?) \|", TABLE, re.MULTILINE))
-    assert rows == {name: kind.text for name, kind in INFRACTIONS.items()}
 
 
 def test_in_the_first_versions_factors_are_multiplied() -> None:

@@ -328,19 +328,6 @@ def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Pat
     assert page.errors == []
 
 
-def test_all_of_150_actors_are_shown(chromium: Chrome, tmp_path: Path) -> None:
-    ids = np.arange(1, 151)
-    turns = np.linspace(0, 1, 21)[:, None] + ids
-    frames: list[dict[str, Any]] = [
-        {"transforms": {"id": ids, "x": 9000 * np.cos(turn), "y": 9000 * np.sin(turn), "yaw": np.degrees(turn) % 360}}
-        for turn in turns
-    ]
-    frames[0]["spawned"] = [spawn(id) for id in ids.tolist()]
-    page = Page(chromium, report(record(tmp_path / "a.mcap", frames), tmp_path / "page"))
-    assert page.ask("replay.stage.shown.length") == 150
-    assert page.errors == []
-
-
 @pytest.mark.filterwarnings("ignore:no crossings are found behind:carla_recap.RecapWarning")  # the last time of one
 @pytest.mark.filterwarnings("ignore:.*the clock goes back:carla_recap.RecapWarning")
 @pytest.mark.parametrize("name", ["carla-0.9.13-lane-center", "floats", "times", "events"])

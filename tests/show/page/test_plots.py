@@ -66,15 +66,6 @@ def test_an_unknown_speed_is_not_shown_as_a_standstill(chromium: Chrome, tmp_pat
     assert page.text("speed") == "\N{EN DASH}"
 
 
-def test_the_gap_is_the_headway_that_is_measured(chromium: Chrome, followed: Path) -> None:
-    found = series(Page(chromium, followed), 1)
-    with open_recording(followed.with_name("a.mcap")) as recording:
-        expected = recording.time_series(1).distance_headway
-    shown = [math.inf if value is None else value for value in found["gap"]]
-    assert shown == pytest.approx(expected.tolist(), abs=0.03)
-    assert np.isfinite(expected).all()
-
-
 def test_of_an_actor_that_is_not_measured_only_the_speed_is_plotted(chromium: Chrome, followed: Path) -> None:
     page = Page(chromium, followed)
     page.browser.execute_script("replay.follow(3)")

@@ -142,11 +142,6 @@ def test_captions_fade() -> None:
     assert brightness(1.0) == 255 > brightness(0.4) > GREY
 
 
-def test_times_of_hours() -> None:
-    hours, minutes = (changed(drawn(Readings(time)))[1] for time in (3725.0, 125.0))
-    assert hours.stop > minutes.stop
-
-
 def test_numbers_do_not_move_their_panel() -> None:
     areas = {
         str(changed(drawn(Readings(time, speed=speed, light=LightAhead(0, distance)))))

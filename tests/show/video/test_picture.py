@@ -73,26 +73,11 @@ def test_another_time_is_another_picture(crossing: Recording, renderer: RenderPr
     assert first == again != second
 
 
-def test_the_followed_car_is_in_the_middle(crossing: Recording, renderer: RenderProcess) -> None:
-    hero, other = (
-        pixels(picture(crossing, at=20, follow=id, size=(320, 180), overlay=False, renderer=renderer)) for id in (100, 102)
-    )
-    assert np.abs(hero[110:150, 150:170] - other[110:150, 150:170]).mean() > 10  # a car; a van of another colour
-
-
 def test_pictures_of_the_beginning_and_of_the_end(crossing: Recording, renderer: RenderProcess) -> None:
     first, last, end = (
         picture(crossing, at=at, size=(320, 180), renderer=renderer) for at in (0, 53, crossing.info.duration)
     )
     assert first != last == end
-
-
-def test_a_picture_from_above_has_a_scale(crossing: Recording, renderer: RenderProcess) -> None:
-    top, bare = (
-        pixels(picture(crossing, at=20, view="top", size=(640, 360), overlay=overlay, renderer=renderer))
-        for overlay in (True, False)
-    )
-    assert np.abs(top - bare)[310:350, 500:630].max() > 100
 
 
 def test_a_notebook_shows_a_picture_as_the_last_value_of_a_cell(crossing: Recording, renderer: RenderProcess) -> None:
