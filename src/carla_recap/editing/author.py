@@ -101,7 +101,7 @@ def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: boo
     given = {table.named(name).id: values for name, values in records.items()}
     if min(given, default=FRAME_END + 1) <= FRAME_END:
         raise RecordError("a frame's start and end are not given as records")
-    packets = dict(_empty_packets(table, additional_data))
+    packets = dict(empty_packets(table, additional_data))
     for id, values in given.items():
         type = table[id]
         found = type.records(values)
@@ -111,7 +111,7 @@ def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: boo
 
 
 @cache
-def _empty_packets(table: Table, additional_data: bool) -> dict[int, Packet | None]:
+def empty_packets(table: Table, additional_data: bool) -> dict[int, Packet | None]:
     """Return the packets of a frame without records by id, in CARLA's order; None for those that CARLA leaves out."""
     types: list[RecordType] = [table[id] for id in ORDER]
     return {

@@ -9,7 +9,6 @@ import numpy as np
 from carla_recap.model.lives import ActorLife, BoundingBox
 from carla_recap.model.packets import pose
 from carla_recap.model.presence import RoadHeights
-from carla_recap.model.records import CM_PER_M
 from carla_recap.replay.pose import right_handed
 from carla_recap.scene.actor_instances import instances
 from carla_recap.scene.appearance import look_of
@@ -18,7 +17,7 @@ from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehi
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.episode import transforms
-from carla_recap.sim.recording.packets import spawn
+from carla_recap.sim.recording.packets import poses, spawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -60,14 +59,12 @@ class WorldActors:
         if key != self._key:
             self._assemble(list(world.actors.values()))
             self._key = key
-        poses = self._poses
         for movers, (rows, sources) in ((world.vehicles, self._vehicles), (world.walkers, self._walkers)):
-            poses[rows, :3] = movers.position[sources] * CM_PER_M
-            poses[rows, 3:] = movers.rotation[sources][:, [2, 0, 1]]
+            self._poses[rows] = poses(movers)[sources]
         own, others = self._others
-        poses[own] = np.array([pose(transform) for transform in transforms(others)]).reshape(-1, 6)
-        found = instances(self._actors, right_handed(poses), *self._lamps_and_steering())
-        away = self._heights.away(found.ids, poses[None])[0]
+        self._poses[own] = np.array([pose(transform) for transform in transforms(others)]).reshape(-1, 6)
+        found = instances(self._actors, right_handed(self._poses), *self._lamps_and_steering())
+        away = self._heights.away(found.ids, self._poses[None])[0]
         return found.take(~away) if away.any() else found
 
     def _assemble(self, actors: Sequence[Actor]) -> None:

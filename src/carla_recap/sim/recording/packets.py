@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.episode import Actor
+    from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.town.loading import Town
     from carla_recap.util.arrays import Booleans, Floats
 
@@ -29,6 +30,8 @@ _OLD_SWITCH_TIME: Final = 0.5  # s, of UE4
 _NEAR: Final = 200.0  # cm between the middle of the wheels and its usual place; users may have moved them
 _ALIKE: Final = 0.25  # the least size of a rectangle of wheels, as a share of the usual one
 _FARTHEST: Final = np.repeat((MAX_COORDINATE * CM_PER_M, MAX_ANGLE), 3)  # of a pose
+_ROLL_PITCH_YAW: Final = [2, 0, 1]
+"""Their indices in the rotations of `MovingBodies`."""
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
 
 
@@ -37,6 +40,11 @@ def spawn(actor: Actor) -> Spawn:
     x, y, z, roll, pitch, yaw = pose(actor.relative_transform)
     attributes = [Attribute(attribute_type(key), key, value) for key, value in actor.attributes.items() if key]
     return Spawn(actor.id, actor.kind, x, y, z, roll, pitch, yaw, actor.blueprint.uid, actor.type_id, attributes)
+
+
+def poses(movers: MovingBodies) -> Floats:
+    """Return the poses of all vehicles, or of all walkers, (n, 6)."""
+    return np.hstack((movers.position * CM_PER_M, movers.rotation[:, _ROLL_PITCH_YAW]))
 
 
 def bounding_box(actor: Actor) -> Row:

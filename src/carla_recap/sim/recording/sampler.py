@@ -20,17 +20,17 @@ import numpy as np
 
 from carla_recap.model.frame import Packet
 from carla_recap.model.packets import WITH_POSE, pose
-from carla_recap.model.records import NO_ACTOR
+from carla_recap.model.records import CM_PER_M, NO_ACTOR, UE4, UE5
+from carla_recap.replay.selection import numbers
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.episode import TickEvents, transforms
 from carla_recap.sim.recording import packets
-from carla_recap.sim.recording.snapshots import TYPES, ActorSet, SnapshotBatch, Timestamp
+from carla_recap.sim.recording.packets import poses
+from carla_recap.sim.recording.snapshots import SnapshotBatch, Timestamp
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-
-    from numpy.typing import NDArray
 
     from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.settings import Weather
@@ -41,6 +41,8 @@ LENGTH: Final = 50
 """The most snapshots of a batch: sending one has a cost, and what was not sent may be lost."""
 SECONDS: Final = 5.0
 """The time after which a batch ends; the formats write that much of a recording to the disk at a time."""
+_OF_VEHICLES: Final = ("steer", "throttle", "brake", "hand_brake", "gear")
+_OF_LIGHTS: Final = ("frozen", "elapsed", "state")
 
 
 class WorldSampler:
@@ -56,7 +58,7 @@ class WorldSampler:
     def __init__(self, episode: Episode, *, additional_data: bool, wide: bool = False) -> None:
         self._episode = episode
         self._additional = additional_data
-        self._wide = wide
+        self._table = UE5 if wide else UE4
         self.count = 0
         self.elapsed = 0.0
         self._collisions = 0
@@ -94,45 +96,70 @@ class WorldSampler:
         else:
             self._batch.timestamps[-1].duration = delta
             self.elapsed += delta
-        batch = self._batch = self._current_batch(changed=bool(events.spawned or events.destroyed))
-        batch.add(Timestamp(self.count, self.elapsed, self._episode.clock.elapsed, happened), self._columns())
+        if events.spawned or events.destroyed:
+            self._batch = None
+            self._find_actors()
+        self._update()
+        batch = self._batch = self._current_batch()
+        batch.add(Timestamp(self.count, self.elapsed, happened), self._rows)
         self.count += 1
         return batch
 
-    def _current_batch(self, *, changed: bool) -> SnapshotBatch:
-        """Return the latest batch, or a new one where it has ended, or the actors have changed."""
+    def _current_batch(self) -> SnapshotBatch:
+        """Return the latest batch, or a new one where it has ended."""
         batch = self._batch
-        if changed:
-            self._find_actors()
         if batch is not None and batch.timestamps[-1].elapsed >= self._batch_ends:
             self._batch_ends = batch.timestamps[-1].elapsed + SECONDS
-            changed = True
-        if batch is None or changed or batch.is_full:
-            return SnapshotBatch(self._actors, self._columns(), LENGTH)
+            batch = None
+        if batch is None or batch.is_full:
+            return SnapshotBatch(self._rows, LENGTH, additional_data=self._additional, wide=self._table.wide)
         return batch
 
     # --- what holds for each frame ------------------------------------------------------------------------------------
 
     def _find_actors(self) -> None:
-        """Note the actors and the arrays that snapshots are taken of, as long as no actor comes or goes."""
+        """Make the records that each frame has, as long as no actor comes or goes, without what changes."""
         episode = self._episode
+        vehicles, walkers = episode.vehicles.id.tolist(), episode.walkers.id.tolist()
         actors = [actor for actor in episode.actors.values() if actor.kind in WITH_POSE]
-        others = _OtherActors([actor for actor in actors if not isinstance(actor, MovingActor)])
-        self._actors = ActorSet(
-            with_pose=[actor.id for actor in actors],
-            vehicles=episode.vehicles.id.tolist(),
-            walkers=episode.walkers.id.tolist(),
-            others=[actor.id for actor in others.actors],
-            lights=episode.signals.id.tolist(),
-            additional_data=self._additional,
-            wide=self._wide,
-        )
-        owners = {"vehicles": episode.vehicles, "walkers": episode.walkers, "signals": episode.signals, "others": others}
-        self._sources = [(owners[owner], name) for owner, name in self._actors.columns]
+        self._others = [actor for actor in actors if not isinstance(actor, MovingActor)]
+        index = {actor.id: number for number, actor in enumerate(actors)}
+        self._at = [index[id] for id in (*vehicles, *walkers, *(actor.id for actor in self._others))]
+        ids = {
+            "transforms": list(index),
+            "light_states": episode.signals.id.tolist(),
+            "vehicle_controls": vehicles,
+            "walker_controls": walkers,
+            "vehicle_lights": vehicles,
+            "velocities": [*vehicles, *walkers] if self._additional else [],
+        }
+        self._named = {name: np.zeros(len(of), self._table.named(name).dtype) for name, of in ids.items() if of}
+        for name, rows in self._named.items():
+            rows["id"] = ids[name]
+        for clock in ("visual_time", "platform_time") if self._additional else ("visual_time",):
+            self._named[clock] = np.zeros(1, self._table.named(clock).dtype)
+        self._rows = {self._table.named(name).id: rows for name, rows in self._named.items()}
 
-    def _columns(self) -> list[NDArray[Any]]:
-        """Return the state of all actors; see `ActorSet.columns`."""
-        return [getattr(owner, name) for owner, name in self._sources]
+    def _update(self) -> None:
+        """Set what changes in the records that each frame has."""
+        episode, rows = self._episode, self._named
+        vehicles, walkers, signals = episode.vehicles, episode.walkers, episode.signals
+        others = np.array([pose(transform) for transform in transforms(self._others)]).reshape(-1, 6)
+        numbers(rows["transforms"])[self._at] = np.concatenate((poses(vehicles), poses(walkers), others))
+        if "velocities" in rows:
+            both = [np.hstack((movers.velocity, movers.angular_velocity)) for movers in (vehicles, walkers)]
+            numbers(rows["velocities"])[:] = np.concatenate(both)
+        for name, owner, columns in (("vehicle_controls", vehicles, _OF_VEHICLES), ("light_states", signals, _OF_LIGHTS)):
+            for column in columns if name in rows else ():
+                rows[name][column] = getattr(owner, column)
+        if "vehicle_lights" in rows:
+            rows["vehicle_lights"]["flags"] = vehicles.light_state
+        if "walker_controls" in rows:
+            rows["walker_controls"]["speed"] = walkers.speed
+            rows["walker_controls"]["speed"] *= CM_PER_M
+        rows["visual_time"]["seconds"] = episode.clock.elapsed
+        if "platform_time" in rows:
+            rows["platform_time"]["seconds"] = self.elapsed
 
     # --- what has happened --------------------------------------------------------------------------------------------
 
@@ -193,27 +220,13 @@ class WorldSampler:
 
     # --- packets ------------------------------------------------------------------------------------------------------
 
-    def _packed(self, records: RecordsByType) -> dict[str, Packet]:
-        types = TYPES[self._wide]
+    def _packed(self, records: RecordsByType) -> dict[int, Packet]:
+        types = {self._table.named(name): rows for name, rows in records.items() if rows}
         return {
-            name: Packet(types[name].id, types[name], records=types[name].records(rows))
-            for name, rows in records.items()
-            if rows and not types[name].opaque
+            type.id: Packet(type.id, type, records=type.records(rows)) for type, rows in types.items() if not type.opaque
         }
 
-    def _joined(self, first: dict[str, Packet], then: dict[str, Packet]) -> dict[str, Packet]:
+    def _joined(self, first: dict[int, Packet], then: dict[int, Packet]) -> dict[int, Packet]:
         """Join the packets of each type; those that only one side has stay as they are."""
-        both = self._packed({name: [*first[name].records, *then[name].records] for name in first.keys() & then.keys()})
-        return first | then | both
-
-
-class _OtherActors:
-    """Actors that are neither vehicles nor walkers, which have no arrays of their own."""
-
-    def __init__(self, actors: list[Actor]) -> None:
-        self.actors = actors
-
-    @property
-    def poses(self) -> NDArray[np.float64]:
-        """Their poses, (n, 6)."""
-        return np.array([pose(transform) for transform in transforms(self.actors)]).reshape(-1, 6)
+        names = {self._table[id].name: (*first[id].records, *then[id].records) for id in first.keys() & then.keys()}
+        return first | then | self._packed({name: [*records] for name, records in names.items()})
