@@ -104,6 +104,12 @@ def test_the_manager_whose_turn_it_is_is_woken(wire: socket.socket) -> None:
             first.accept()
 
 
+def test_a_manager_without_an_address_has_the_port_that_its_client_asked_about(wire: socket.socket) -> None:
+    answered(wire, ("is_traffic_manager_running", 8123), ("add_traffic_manager_running", ["", 0]))
+    wire.sendall(msgpack.packb([0, 0, "get_traffic_manager_running", [[False], 8123]]))
+    assert msgpack.unpackb(wire.recv(1 << 10))[3] == [[1, ["127.0.0.1", 8123]]]
+
+
 async def test_a_pause_waits_for_each_manager() -> None:
     """Without it, the thread of a second manager looks at the episode while the client has none."""
     pause = TrafficManagerPause(2)

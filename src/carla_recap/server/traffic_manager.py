@@ -79,10 +79,12 @@ class TrafficManagerCycle:
 
     Attributes:
         address: The address of the client's machine.
+        wanted_port: The port about which the client asked last whether there is a manager.
     """
 
     def __init__(self, address: str) -> None:
         self.address = address
+        self.wanted_port = 0
         self._next = 0
         self._has_completed_one = False
         self._settled: asyncio.Future[None] | None = None

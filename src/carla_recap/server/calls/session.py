@@ -168,7 +168,8 @@ def query_lights_state(client: Client, address: str = "") -> list[bytes]:
 
 @call
 def is_traffic_manager_running(client: Client, port: int) -> bool:
-    """Return whether a client runs a traffic manager at a port."""
+    """Return whether a client runs a traffic manager at a port; a client asks so before it runs one there itself."""
+    client.cycle.wanted_port = port
     return client.host.traffic_managers.host(port) is not None
 
 
@@ -181,8 +182,9 @@ def get_traffic_manager_running(client: Client, port: int) -> tuple[str, int]:
 
 @call
 def add_traffic_manager_running(client: Client, address: tuple[str, int]) -> bool:
-    """Register a traffic manager that the client runs."""
-    return client.host.traffic_managers.add(*address, client.cycle)
+    """Register a traffic manager that the client runs; without an address, at the port that it has asked about."""
+    host, port = address if address[1] else (client.cycle.address, client.cycle.wanted_port)
+    return client.host.traffic_managers.add(host, port, client.cycle)
 
 
 @call
