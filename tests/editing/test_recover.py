@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from carla_recap import RecapError, RecapWarning, Recovery, convert, open_recording, recover
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import Header
+from carla_recap.rules.rule_sets import check, make_rules
 from tests import strategies
 from tests.formats.mcap.forge import MAGIC, chunk_places, edited
 from tests.samples import (
@@ -48,7 +49,7 @@ def test_a_file_without_an_end_is_saved_up_to_the_cut(driven, tmp_path, kept):
     save(driven, data[: int(len(data) * kept)])
     with warnings_ignored():
         recovery = recover(driven, tmp_path / "saved.mcap")
-    saved = images(tmp_path / "saved.mcap")
+        saved = images(tmp_path / "saved.mcap")
     assert not recovery.finished
     assert recovery.frames == len(saved)
     assert 600 * (kept - 0.25) < len(saved) <= 600
@@ -61,10 +62,28 @@ def test_a_file_that_is_cut_before_its_events_is_said_to_have_none(tmp_path, kep
     (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * kept)])
     with warnings_ignored():
         recovery = recover(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
-    with open_recording(tmp_path / "saved.mcap") as recording:
+        recording = open_recording(tmp_path / "saved.mcap")
+    with recording:
         assert recovery.without_events == (not recording.actors)
     assert ("no spawns, collisions and other events are left" in str(recovery)) == recovery.without_events
     assert recovery.without_events == (kept < 1)
+
+
+def test_what_is_saved_without_events_says_so_and_no_rule_about_them_passes(tmp_path):
+    data = (SAMPLES / "crash.mcap").read_bytes()
+    save(tmp_path / "cut.mcap", data[: int(len(data) * 0.9)])
+    with warnings_ignored():
+        recover(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
+    rules = make_rules(collisions={"max": 0}, actors={"max": 3}, blocked={"max": 30}, frames={"min": 1})
+    told = r"saved\.mcap: was recovered without its events: spawns, collisions and others are unknown"
+    with pytest.warns(RecapWarning, match=told):
+        convert(tmp_path / "saved.mcap", tmp_path / "again" / "saved.mcap")
+    with pytest.warns(RecapWarning, match=told):
+        recording = open_recording(tmp_path / "again" / "saved.mcap")
+    with recording:
+        verdicts = check(recording, rules)
+    assert [verdict.status for verdict in verdicts] == ["error", "error", "error", "pass"]
+    assert verdicts[0].message == "expected a recording with its events, found one that was recovered without them"
 
 
 def test_a_lost_chunk_costs_only_its_frames(driven, tmp_path):

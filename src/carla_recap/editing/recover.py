@@ -39,7 +39,7 @@ class Recovery:
         finished: Whether the source was complete up to its end.
         headless: Whether its header was lost, so that the map is unknown.
         lost_packets: The number of packets of saved frames that contradict their type.
-        without_events: Whether its end was lost, and no event was found: an MCAP file has most of them there.
+        without_events: Whether its end was lost, and its events with it: an MCAP file has most of them there.
     """
 
     frames: int
@@ -114,6 +114,8 @@ def recover(
                 last, duration = frame.index, frame.elapsed
                 copy.write(duration)
             copy.write()
+            without_events = without_events and getattr(reader, "lost_messages", False)
+            writer.without_events = without_events or reader.header.without_events
         if isinstance(reader, LogReader):
             cut = sum(map(len, reader.tail()))
             finished = not cut
@@ -121,7 +123,7 @@ def recover(
         expected = max(last + 1, int(getattr(reader, "metadata", {}).get("frames", 0)))
     finally:
         reader.close()
-    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets, without_events)
+    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets, writer.without_events)
 
 
 def finish_partial(

@@ -192,6 +192,8 @@ class Reader:
 class Writer(AtomicFile):
     """A recording that is being written; see `AtomicFile`."""
 
+    without_events = False  # whether its events are lost; an MCAP file says so
+
     def write(self, frame: Frame) -> None:
         """Add a frame."""
         raise NotImplementedError

@@ -62,12 +62,17 @@ class McapReader(Reader):
         self._source: ByteSource = LocalSource(file) if isinstance(file, str | PathLike) else file
         self.path, self.location = self._source.path, self._source.location
         self._lenient = lenient
-        self._warned = False
+        self.lost_messages = False  # whether messages of frames that were read are missing
         try:
             self._summary = summary or read_summary(self._source)
             self.header = header or self._read_header()
             self._extent = self._read_extent()
-            self._steady = self.metadata.get("steady_clock") == "1"
+            told = self.metadata
+            self._steady = told.get("steady_clock") == "1"
+            if told.get(schema.WITHOUT_EVENTS) == "1":
+                self.header = replace(self.header, without_events=True)
+                text = "was recovered without its events: spawns, collisions and others are unknown"
+                warnings.warn(f"{self.location}: {text}", RecapWarning, stacklevel=2)
         except BaseException:
             self._source.close()
             raise
@@ -285,8 +290,8 @@ class McapReader(Reader):
             yield from frames.complete(horizon)
 
     def _warn_of_lost(self, frame: int) -> None:
-        if not self._warned:
-            self._warned = True
+        if not self.lost_messages:
+            self.lost_messages = True
             warnings.warn(
                 f"{self.location}: messages of frame {frame}, and maybe of others, are missing",
                 RecapWarning,

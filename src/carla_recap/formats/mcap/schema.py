@@ -133,6 +133,8 @@ EXPORT_METADATA: Final = "carla_recap.export"
 """What a file has that shows a recording, but is none."""
 EVENTS_AT: Final = "events_at"
 """In the extent's metadata: the offset from which on all chunks of events come; missing where they are among the others."""
+WITHOUT_EVENTS: Final = "without_events"
+"""In the extent's metadata: "1" if the recording was recovered without its events; else missing."""
 CHECKSUM: Final = "checksum"
 PARAMETERS_LIMIT: Final = 256 << 10
 """The most bytes of all parameters."""
@@ -242,7 +244,7 @@ def header_metadata(header: Header) -> dict[str, str]:
         "double_precision": str(int(header.wide)),
         "shifted_packet_ids": str(int(header.shifted)),
     }
-    is_plain = replace(header, parameters={}) == parse_header(plain)
+    is_plain = replace(header, parameters={}, without_events=False) == parse_header(plain)
     return plain if is_plain else plain | {"carla_header": raw.hex()}
 
 

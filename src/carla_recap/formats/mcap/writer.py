@@ -68,6 +68,7 @@ class McapWriter(ChunkedFile, Writer):
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
+        self.without_events = header.without_events
         self._header_metadata = {schema.HEADER_METADATA: schema.checked(schema.header_metadata(header))}
         if header.parameters:
             self._header_metadata[schema.PARAMETERS_METADATA] = schema.checked(schema.parameters_metadata(header))
@@ -335,6 +336,7 @@ class McapWriter(ChunkedFile, Writer):
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
             **({schema.EVENTS_AT: str(events_at)} if events_at is not None else {}),
+            **({schema.WITHOUT_EVENTS: "1"} if self.without_events else {}),
             **self._digest.metadata(),
         }
 
