@@ -291,6 +291,23 @@ def test_a_frame_that_contradicts_its_messages_is_an_error(driven, topic, change
         images(driven)
 
 
+@pytest.mark.parametrize("later", [1, 10**18])
+def test_messages_of_a_frame_with_several_times_are_an_error_of_each_answer(driven, later):
+    (id,) = (part.id for part in data_records(driven) if isinstance(part, records.Channel) and part.topic == "/frames")
+
+    def changed(chunk):
+        content = b""
+        for channel, sequence, time, _, data in messages_in(chunk):
+            content += forge.message(channel, sequence, time + later * ((channel, sequence) == (id, 14)), data)
+        return seal(content, message_start_time=chunk.message_start_time, message_end_time=chunk.message_end_time)
+
+    with_chunks(driven, changed)
+    with open_recording(driven) as recording:
+        for question in (lambda: list(recording), lambda: recording.table("spawned"), lambda: recording.table("transforms")):
+            with pytest.raises(FormatError, match="the messages at position 14 have several log times"):
+                question()
+
+
 def test_frames_without_their_channel_are_an_error(small_mcap):
     parts = data_records(small_mcap)
     kept = [part for part in parts if not (isinstance(part, records.Channel) and part.topic == "/frames")]

@@ -147,6 +147,7 @@ class FrameAssembler:
         """Take in the messages of a chunk, or raise `FormatError`."""
         wanted = self._selection.channels
         held = sum(run.number * len(run.slots) for run in self._runs)
+        before = (-1, 0)  # sequence and time of the frame before
         try:
             for run in message_runs(data, self._channels.frames):
                 messages = run.number * len(run.slots)
@@ -154,6 +155,11 @@ class FrameAssembler:
                 self._allowance -= messages
                 if held > MESSAGES_LIMIT:
                     raise self._too_much(chunk)
+                if any(slot[0] in self._channels.specs for slot in run.slots):
+                    if before[0] == run.sequence and before[1] != run.time:
+                        text = f"the messages at position {run.sequence} have several log times"
+                        raise FormatError(self._location, chunk.offset, text)
+                    before = run.sequence, run.time
                 is_listed = not chunk.channels or chunk.channels.issuperset(slot[0] for slot in run.slots)
                 if not is_listed or not chunk.start <= run.time <= chunk.end:
                     text = "a chunk has messages of channels or times that it has not in the index: the index is wrong"

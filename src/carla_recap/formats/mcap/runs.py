@@ -1,7 +1,7 @@
 """Runs of frames in a chunk whose messages are alike, as columns of arrays.
 
-The messages of a frame follow each other, under one sequence number. Consecutive frames with messages on the same channels,
-of the same sizes, in the same order, repeat at equal distances, so that numpy can view all of them at once.
+The messages of a frame follow each other, under one sequence number and log time. Consecutive frames with messages on the
+same channels, of the same sizes, in the same order, repeat at equal distances, so that numpy can view all of them at once.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _frame(data: memoryview, offset: int) -> tuple[MessageRun | None, int]:
         if opcode != _MESSAGE:
             offset = _end_of_other(data, offset)
             continue
-        if slots and number != sequence:
+        if slots and (number, log_time) != (sequence, time):
             break
         end = offset + RECORD.size + length
         if end > size or length < MESSAGE_FIELDS:
@@ -142,8 +142,9 @@ def _extended(run: MessageRun, frame_channel: int) -> MessageRun:
     same = equal_rows(frames, np.array(compared, np.intp))
     numbers = np.arange(run.sequence, run.sequence + same)
     for _, offset, _ in run.slots:
-        found = run._replace(number=same).view(MESSAGE_DTYPE, offset - MESSAGE.size)["sequence"][:, 0]
-        wrong = np.flatnonzero(found != numbers[:same])
+        run = run._replace(number=same)
+        found = run.view(MESSAGE_DTYPE, offset - MESSAGE.size)[:, 0]
+        wrong = np.flatnonzero((found["sequence"] != numbers[:same]) | (found["log_time"] != run.times))
         same = int(wrong[0]) if len(wrong) else same
     # Another message of the last frame may follow, which the others do not have.
     end = run.start + same * run.stride
