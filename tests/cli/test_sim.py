@@ -12,6 +12,7 @@ import pytest
 
 from carla_recap import open_recording
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, run, the_line, wrote
+from tests.samples import names_in
 from tests.waiting import PATIENCE, wait_until
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
@@ -68,15 +69,16 @@ def test_invalid_arguments_of_record(tmp_path):
 
 def test_invalid_destinations_of_record(tmp_path):
     (tmp_path / "folder.log").mkdir()
+    (tmp_path / "file").touch()
     without = "no suffix, which says the format; .log or .mcap was expected"
     town = ("--town", "Atlantis")  # the destination is looked at first
     assert "exists already" in error("record", CROSSING, *town)
     for name in ("bare", "-", "/dev/null"):
         assert error("record", name, "--force", *town, cwd=tmp_path) == f"{name}: {without}"
     assert "cannot be written: is a directory" in error("record", tmp_path / "folder.log", "--force", *town)
-    assert "there is no folder" in error("record", tmp_path / "no" / "a.log", *town)
+    assert "is a file; a folder was expected" in error("record", tmp_path / "file" / "a.log", *town)
     assert error("replay", CROSSING, "bare", "--force", *town, cwd=tmp_path) == f"bare: {without}"
-    assert [path.name for path in tmp_path.iterdir()] == ["folder.log"]
+    assert names_in(tmp_path) == ["file", "folder.log"]
 
 
 def test_a_missing_map_is_an_error_with_the_folders(tmp_path):

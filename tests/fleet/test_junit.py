@@ -96,4 +96,4 @@ def test_the_file_appears_when_it_is_complete(tmp_path):
     assert ElementTree.parse(tmp_path / "out.xml").getroot().tag == "testsuites"
     assert names_in(tmp_path) == ["out.xml"]
     with pytest.raises(RecapError, match="cannot be written"):
-        write_junit(CHECKED, tmp_path / "absent" / "out.xml")
+        write_junit(CHECKED, tmp_path / "out.xml" / "out.xml")

@@ -49,6 +49,15 @@ def test_a_file_appears_on_a_file_system_that_cannot_sync(
     assert names_in(tmp_path) == (["a"] if appears else [])
 
 
+def test_missing_folders_of_a_file_are_made(tmp_path: Path) -> None:
+    with WholeFile(tmp_path / "new" / "folder" / "a.bin") as file:
+        file.write(b"abc")
+    path = tmp_path / "new" / "folder" / "a.bin"
+    assert path.read_bytes() == b"abc"
+    with pytest.raises(RecapError, match=r"b\.bin: cannot be written: Not a directory"):
+        WholeFile(path / "b.bin")
+
+
 def test_a_file_that_fails_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(TypeError), WholeFile(tmp_path / "a.bin") as file:
         file.write([b"12"])

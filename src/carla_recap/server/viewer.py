@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.capture.live import check_target
-from carla_recap.errors import RecapError
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.scene.models import models_directory
+from carla_recap.util.files import make_folder
 from carla_recap.util.processes import module_command, module_environment, terminate
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ class ViewerProcess:
 
     def __init__(self, to: str | None = None, follow: Follow = HERO, foxglove_port: int | None = None) -> None:
         check_target(to, foxglove_port, force=False)
-        if to is not None and "://" not in to and not Path(to).parent.is_dir():
-            raise RecapError(f"{to}: cannot be written: there is no folder {Path(to).parent}")
+        if to is not None and "://" not in to:
+            make_folder(Path(to).parent)
         models = models_directory()
         self._options = [f"--follow={follow}", *([f"--to={to}"] if to else []), *([f"--models={models}"] if models else [])]
         if foxglove_port is not None:

@@ -61,6 +61,7 @@ class AtomicFile:
 
     If it is `live`, the partial file is kept, too, if it cannot be finished. With `force`, it replaces a file that exists
     when it is complete; else that is an error. So is a destination that is a folder, a device or a pipe (`RecapError`).
+    Folders that are missing are made.
     """
 
     def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
@@ -78,6 +79,8 @@ class AtomicFile:
                 raise IsADirectoryError(EISDIR, "is a directory")
             if self.path.exists() and not self.path.is_file():
                 raise FileExistsError(EEXIST, "is not a regular file")
+            with suppress(FileExistsError):  # a file in place of the folder: what opens below says so
+                self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._partial.open("xb", buffering=_BUFFER_SIZE)
             write_start()
             self._is_unused = True
@@ -247,7 +250,6 @@ def prepare_file(path: Path | str) -> None:
     """Create the folder of a file that will be written; raise `RecapError` if it cannot be."""
     check_path(path)
     with writing(path):
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
         WholeFile(path).abort()
 
 

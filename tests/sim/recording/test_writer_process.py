@@ -85,15 +85,16 @@ def test_each_command_is_answered(tmp_path: Path) -> None:
 
 
 def test_an_error_is_the_answer_and_the_next_recording_is_written(tmp_path: Path) -> None:
-    absent = tmp_path / "absent" / "a.mcap"
+    (tmp_path / "file").touch()
+    absent = tmp_path / "file" / "a.mcap"
     first, second, third, fourth = answers(
         ("begin", absent, HEADER, True), ("write", None), ("begin", tmp_path / "b.mcap", HEADER, True), ("close",)
     )
-    assert first == f"{absent}: cannot be written: No such file or directory"
+    assert first == f"{absent}: cannot be written: Not a directory"
     assert second
     assert second.startswith("AssertionError: ")
     assert (third, fourth) == (None, None)
-    assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["b.mcap", "file"]
 
 
 @pytest.mark.parametrize("more", [b"", pickle.dumps(("close", ()))[:-3], pickle.dumps(("write", [b"x" * 1000]))[:500]])
@@ -182,7 +183,8 @@ def test_a_world_that_writes_by_itself_goes_on_when_the_disk_fails(tmp_path: Pat
     with pytest.warns(RecapWarning, match="the recording has ended"):
         world.run(20)
     assert "no space" in str(world.recorder.error).lower()
-    assert frames(tmp_path / "a.mcap") < 400
+    with pytest.warns(RecapWarning, match="was recovered without its events"):
+        assert frames(tmp_path / "a.mcap") < 400
     world.close()
 
 

@@ -7,6 +7,7 @@ import re
 import time
 import warnings
 import weakref
+from errno import ENOENT
 from pathlib import Path, PureWindowsPath
 from threading import RLock
 from typing import TYPE_CHECKING, Final
@@ -213,4 +214,6 @@ class WorldRecorder:
             except OSError as error:
                 reason = f"the folder of recordings cannot be made: {error.strerror}"
                 raise DestinationError(f"{path.parent}: {reason}") from None
+        elif not path.parent.is_dir():
+            raise DestinationError(f"{path}: cannot be written: {os.strerror(ENOENT)}")
         return path
