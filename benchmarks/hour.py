@@ -7,7 +7,6 @@ Actors that do not move repeat their transforms exactly, as in CARLA. More than 
 
 from __future__ import annotations
 
-import argparse
 import zlib
 from collections import defaultdict
 from pathlib import Path
@@ -337,12 +336,3 @@ def cached(count: int = FRAMES) -> Path:
             stale.unlink()
         make(path, count)
     return path
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", type=Path)
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    make(options.path, options.frames, options.seed)
