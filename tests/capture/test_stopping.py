@@ -16,8 +16,6 @@ import pytest
 
 from carla_recap import create_recording, open_recording
 from carla_recap.capture.live import watch
-from carla_recap.editing.recover import recover
-from carla_recap.errors import RecapError
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.server import running as server
 from carla_recap.util.files import partials
@@ -91,31 +89,6 @@ def test_no_callback_of_the_client_is_left_when_the_interpreter_ends(tmp_path: P
             world.try_spawn_actor(hero, pose)
         ended = list(threads.map(interrupted, range(3)))
     assert [code for code, _ in ended] == [0] * 3, ended
-
-
-def test_the_recorded_frames_survive_the_process(world: carla.World, port: int, tmp_path: Path) -> None:
-    path = tmp_path / "a.log"
-    with running(path, port) as process:
-        begin = world.tick()
-        while world.get_snapshot().frame - begin < 12.0 / 0.05:
-            world.tick()
-        wait_until(lambda: duration_so_far(path, tmp_path / "copy") > 12.0 - KEPT - 1.0, pause=0.1)
-        process.kill()
-        process.wait(PATIENCE)
-    (left,) = partials(path)
-    assert recover(left, path).duration > 12.0 - KEPT - 1.0
-
-
-def duration_so_far(path: Path, folder: Path) -> float:
-    """Return the duration in s of what is on the disk of a recording that is being written."""
-    (left,) = partials(path)
-    folder.mkdir(exist_ok=True)
-    copy = folder / f"copy{path.suffix}"
-    copy.write_bytes(left.read_bytes())
-    try:
-        return recover(copy, folder / path.name, force=True).duration
-    except RecapError:  # nothing yet
-        return 0.0
 
 
 def test_a_live_file_is_on_the_disk_while_it_is_written(port: int, tmp_path: Path) -> None:

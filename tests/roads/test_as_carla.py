@@ -66,22 +66,6 @@ def test_lanes_turn_with_the_offset_of_their_road() -> None:
     assert_equal_waypoints(*loaded(towns.opendrive(road)))
 
 
-def test_all_lanes_of_sections_with_one_for_cars_are_there(both: tuple[TownRoads, Any]) -> None:
-    roads, town = both
-    driving = {(lane.road, lane.section, lane.id) for lane in roads.lanes if lane.is_driving}
-    assert {(point.road_id, point.section_id, point.lane_id) for point in town.generate_waypoints(0.5)} == driving
-    assert list(dict.fromkeys(lane.road for lane in roads.lanes)) == list(
-        dict.fromkeys(point.road_id for point in town.generate_waypoints(0.5))
-    )
-
-
-def test_crossings_are_equal(both: tuple[TownRoads, Any]) -> None:
-    roads, town = both
-    corners = [place(corner) for corner in town.get_crosswalks()]
-    assert [tuple(corner) for outline in roads.crossings for corner in outline.tolist()] == corners
-    assert all(outline[0].tolist() == outline[-1].tolist() for outline in roads.crossings)
-
-
 def test_lanes_are_sampled_to_their_ends(both: tuple[TownRoads, Any]) -> None:
     roads, _ = both
     ends = {(road.number, part.number): (part.start, part.end) for road in roads.content.roads for part in road.sections}

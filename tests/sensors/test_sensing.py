@@ -14,7 +14,6 @@ from carla_recap.scene.materials import Tag
 from carla_recap.scene.models import MODELS
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.sensors.sensing import SensedFrame, sense
-from tests.samples import carla_log
 from tests.sensors.cars import (
     AHEAD,
     BOX,
@@ -339,16 +338,3 @@ def sense_front(folder: Path) -> list[SensedFrame]:
     inside = {"type": "sensor.camera.instance_segmentation", "id": "ids", **CAMERA, "x": 0.0, "z": 1.0}
     with carla_recap.open_recording(folder / "cars.mcap") as recording:
         return list(sense(recording, SensorRig.of([inside]), quality="low"))
-
-
-@pytest.mark.filterwarnings("ignore::carla_recap.RecapWarning")  # some maps are not here
-@pytest.mark.parametrize("name", ["collisions.log", "events.log", "carla-0.9.10-lane-center.log"])
-def test_recordings_of_carla_can_be_sensed(name: str) -> None:
-    pytest.importorskip("embreex")
-    rig = SensorRig.of([LIDAR, *MOTION.to_dicts()])
-    with carla_recap.open_recording(carla_log(name)) as recording:
-        id = next(actor.id for actor in recording.actors.values() if actor.kind == "vehicle")
-        found = [frame for frame in sense(recording, rig, actor=id, duration=1.0) if frame.samples]
-    assert found
-    assert all(len(frame.samples["lidar"].data) > 100 for frame in found)
-    assert all(abs(float(frame.samples["speed"].data)) < 50 for frame in found)

@@ -91,6 +91,8 @@ def differences(roads: TownRoads, text: str, library: CarlaLibrary, every: int =
         found += [(what, place, point) for what in differing]
     if {tuple(name) for name in theirs["driving"]} != {name for name, lane in lanes.items() if lane.is_driving}:
         found.append("driving lanes")
+    if [corner for outline in roads.crossings for corner in outline.tolist()] != theirs["crossings"]:
+        found.append("crossings")
     topology = {(tuple(one), tuple(other)) for one, other in theirs["topology"]}
     known = {(name, other) for name, lane in lanes.items() if lane.is_driving for other in lane.successors}
     ending = {name for name, lane in lanes.items() if not lane.successors}
