@@ -321,11 +321,6 @@ def test_a_map_name_that_no_header_holds_is_an_error(tmp_path, suffix):
     assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
 
 
-def test_bytes_that_are_no_text_are_an_error(tmp_path):
-    with pytest.raises(RecapError, match="no UTF-8"):
-        import_tracks(SAMPLES / "crash.mcap", tmp_path / "out.log")
-
-
 def test_vehicles_look_like_those_of_their_size_and_differ(table):
     rows = [(number, 1.8 if number > 5 else 4.5, 0.7 if number > 5 else 1.8) for number in range(10)]
     text = "time,id,x,y,length,width\n" + "".join(f"0,{id},{9 * id},0,{length},{width}\n" for id, length, width in rows)

@@ -90,19 +90,6 @@ def test_a_killed_launcher_leaves_no_server() -> None:
         assert refuses_connections(port)
 
 
-def test_a_wrong_port_is_an_error_in_one_line() -> None:
-    done = subprocess.run([LAUNCHER, "-carla-rpc-port=many"], capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
-    assert "'many' is not a valid integer range" in line
-
-
-def test_help_lists_the_arguments() -> None:
-    done = subprocess.run([LAUNCHER, "--help"], capture_output=True, text=True, timeout=PATIENCE, check=True)
-    assert "-quality-level=Low|Epic" in done.stderr
-    assert "--maps DIR" in done.stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

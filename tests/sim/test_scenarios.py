@@ -28,17 +28,16 @@ def town():
 
 @pytest.fixture(scope="module")
 def crash(town, tmp_path_factory):
-    """Return the actors of a crash, the collisions of the world, and the recordings."""
-    paths = [tmp_path_factory.mktemp("crash") / f"crash{suffix}" for suffix in (".mcap", ".log")]
+    """Return the actors of a crash, the collisions of the world, and the recording."""
+    path = tmp_path_factory.mktemp("crash") / "crash.mcap"
     seen = []
     with World(town, date=0) as world:
         actors = Crash(world)
-        world.recorder.start(paths[0], additional_data=True, in_process=True)
+        world.recorder.start(path, additional_data=True, in_process=True)
         for frame in range(1, 1001):
             world.tick()
             seen += [(frame, hit.actor1, hit.actor2, hit.hero1, hit.hero2) for hit in world.events.collisions]
-    carla_recap.convert(*paths)
-    return actors, seen, paths
+    return actors, seen, path
 
 
 def test_the_hero_hits_the_walker_and_then_the_van(crash):
@@ -51,10 +50,9 @@ def test_the_hero_hits_the_walker_and_then_the_van(crash):
     assert actors.walker.has_fallen
 
 
-@pytest.mark.parametrize("format", [0, 1], ids=["mcap", "log"])
-def test_the_recording_has_every_collision_of_the_world(crash, format):
-    _, seen, paths = crash
-    with carla_recap.open_recording(paths[format]) as recording:
+def test_the_recording_has_every_collision_of_the_world(crash):
+    _, seen, path = crash
+    with carla_recap.open_recording(path) as recording:
         found = [
             (frame.id, row["actor1"], row["actor2"], bool(row["hero1"]), bool(row["hero2"]))
             for frame in recording
@@ -63,13 +61,12 @@ def test_the_recording_has_every_collision_of_the_world(crash, format):
     assert found == seen
 
 
-@pytest.mark.parametrize("format", [0, 1], ids=["mcap", "log"])
-def test_queries_find_the_collisions(crash, format):
-    actors, seen, paths = crash
+def test_queries_find_the_collisions(crash):
+    actors, seen, path = crash
     first = {}
     for frame, *pair in seen:
         first.setdefault(tuple(pair), frame)
-    with carla_recap.open_recording(paths[format]) as recording:
+    with carla_recap.open_recording(path) as recording:
         rows = [(row.frame, row.id1, row.id2, row.hero1, row.hero2) for row in recording.collisions()]
         assert rows == [(frame, *pair) for pair, frame in first.items()]
         assert [row.id2 for row in recording.collisions("h", "v")] == [actors.van.id]

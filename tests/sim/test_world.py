@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from carla_recap.errors import RecapError
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
@@ -19,18 +18,6 @@ from tests.sim.flat import at, flat_town, flat_world, light, spawn_car
 
 def vehicle(world: World, x: float = 0.0) -> Vehicle:
     return spawn_car(world, at(x), "vehicle.audi.tt")
-
-
-def test_ids_count_from_1_and_are_never_used_again() -> None:
-    world = flat_world()
-    assert list(world.actors) == [1]
-    assert world.actors[1] is world.spectator
-    first = vehicle(world)
-    first.destroy()
-    second = vehicle(world)
-    assert (first.id, second.id) == (2, 3)
-    world.reload()
-    assert world.spectator.id == 4
 
 
 def test_an_actor_has_the_attributes_of_its_blueprint_and_those_given() -> None:
@@ -160,17 +147,6 @@ def test_run_and_realtime_simulate_the_given_time() -> None:
     assert world.frame == 20
     world.run_realtime(0.5, factor=100.0)
     assert world.frame == 30
-
-
-def test_the_first_tick_puts_a_car_on_the_road() -> None:
-    world = flat_world()
-    car = world.spawn("vehicle.audi.tt", at(0.0, z=0.3))
-    walker = world.spawn("walker.pedestrian.0001", at(0.0, 20.0, z=3.0))
-    assert car.transform.location.z == 0.3
-    world.tick()
-    assert car.transform.location.z == 0
-    assert walker.transform.location.z == pytest.approx(0.93)
-    assert car.velocity == Vector()
 
 
 def test_a_walker_walks_in_the_direction_of_its_control() -> None:
@@ -357,15 +333,6 @@ def test_invalid_durations_are_errors() -> None:
 def test_an_attribute_that_the_blueprint_does_not_have_is_an_error() -> None:
     with pytest.raises(SpawnError, match=r"vehicle.audi.tt has no attribute 'rolename'; it has role_name"):
         flat_world().spawn("vehicle.audi.tt", at(0.0), rolename="hero")
-
-
-def test_a_town_by_its_name() -> None:
-    world = World("Brickfield")
-    assert world.town.name == "Brickfield"
-    with pytest.raises(RecapError, match="town 'Atlantis': expected"):
-        world.reload("Atlantis")
-    world.reload("Brickfield")
-    assert world.episode.number == 2
 
 
 @pytest.mark.parametrize("weather", ["HardRainNoon", None, 3])

@@ -17,10 +17,8 @@ from carla_recap import FormatError, NotARecording, RecapError, open_recording, 
 from carla_recap.formats.mcap.index import (
     CHUNK_LIMIT,
     RECORDS_LIMIT,
-    Summary,
     decompress,
     open_chunk,
-    parse_metadata,
     read_record,
     read_summary,
     split_records,
@@ -40,11 +38,6 @@ def source(tmp_path):
     opened = LocalSource(save(tmp_path / "ten", b"0123456789"))
     yield opened
     opened.close()
-
-
-def test_places_are_read_and_counted(source):
-    assert (source.size, source.read(2, 3, "it"), source.read(10, 0, "nothing")) == (10, b"234", b"")
-    assert source.bytes_read == 3
 
 
 @pytest.mark.parametrize(("at", "size"), [(8, 3), (11, 0), (-1, 2), (0, -1), (1 << 63, 1), (0, 1 << 63)])
@@ -70,61 +63,10 @@ def test_what_cannot_be_opened_is_an_error(tmp_path, name):
         LocalSource(tmp_path / name)
 
 
-@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=20)), max_size=4))
-def test_records_are_split(found):
-    data = b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in found)
-    assert [(opcode, data[at:end]) for opcode, at, end in split_records(data)] == found
-
-
 @pytest.mark.parametrize("rest", [b"\5", b"\5" + bytes(7), struct.pack("<BQ", 5, 1), b"\5" + b"\xff" * 8])
 def test_a_record_that_is_not_whole_is_an_error(rest):
     with pytest.raises(ValueError, match=r"left behind the last record|goes beyond"):
         list(split_records(struct.pack("<BQ", 5, 1) + b"a" + rest))
-
-
-RECORDS = [
-    (
-        records.Schema(id=3, data=b"abc", encoding="protobuf", name="a.B"),
-        {"schemas": {3: "a.B"}, "schema_spans": {3: (7, 28)}},
-    ),
-    (
-        records.Channel(3, "/a", "protobuf", {"k": "v"}, 4),
-        {"channels": {3: (3, 4, "/a", "protobuf")}, "channel_spans": {3: (7, 36)}},
-    ),
-    (records.MetadataIndex(offset=1 << 40, length=7, name="a"), {"metadata": {"a": 1 << 40}}),
-    (records.Statistics(1, 2, {3: 4}, 5, 6, 7, 8, 9, 10), {"messages": 6, "chunk_count": 5, "counts": {3: 4}}),
-    (records.ChunkIndex(7, 8, "zstd", 9, 20, 5, {3: 40, 4: 50}, 10, 11), {"chunks": [(10, 20, 8, 7, {3, 4})]}),
-    (records.Attachment(1, 2, "a", "b", b"c"), {}),
-]
-
-
-@pytest.mark.parametrize(("record", "added"), RECORDS)
-def test_a_record_is_added_to_the_summary(record, added):
-    data, summary = packed(record), Summary()
-    summary.add(data[0], memoryview(data)[9:], 7)
-    assert vars(summary) == vars(Summary()) | added
-
-
-def test_metadata_are_parsed():
-    values = {"k": "v", "ä": ""}
-    assert parse_metadata(packed(records.Metadata(name="a", metadata=values))[9:]) == ("a", values)
-
-
-@pytest.mark.parametrize("opcode", [3, 4, 8, 11, 13])
-@given(data=st.binary(max_size=60))
-def test_any_bytes_are_a_record_or_an_error(opcode, data):
-    try:
-        Summary().add(opcode, memoryview(data), 0)
-    except ValueError as error:
-        assert "\n" not in str(error)  # noqa: PT017
-
-
-@given(data=st.binary(max_size=60))
-def test_any_bytes_are_metadata_or_an_error(data):
-    try:
-        assert isinstance(parse_metadata(data), tuple)
-    except ValueError as error:
-        assert str(error).startswith("broken METADATA record")  # noqa: PT017
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])

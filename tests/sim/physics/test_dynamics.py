@@ -56,25 +56,6 @@ def test_it_takes_a_plausible_time_from_0_to_100_and_starts_no_harder_than_in_ca
     assert {name: time for name, time in times.items() if not plausible[name][0] < time < plausible[name][1]} == {}
 
 
-def test_top_speeds_are_plausible() -> None:
-    plausible = {
-        "tesla.model3": (190, 235),
-        "volkswagen.t2": (100, 130),
-        "carlamotors.firetruck": (85, 115),
-        "bh.crossbike": (20, 40),
-        "vespa.zx125": (60, 95),
-    }
-    world = flat_world()
-    world.settings.substepping = False
-    cars = side_by_side(world, *plausible)
-    for car, (least, _) in zip(cars, plausible.values(), strict=True):
-        car.set_target_velocity(Vector(0.9 * least * KMH))
-        car.apply_control(VehicleControl(throttle=1.0))
-    world.run(40)
-    for car, (least, most) in zip(cars, plausible.values(), strict=True):
-        assert least * KMH < car.velocity.x < most * KMH, car
-
-
 @pytest.mark.parametrize("name", ["tesla.model3", "mini.cooper_s", "mercedes.sprinter", "bh.crossbike"])
 @pytest.mark.parametrize("steer", [0.1, -0.3])
 def test_at_low_speed_the_radius_is_wheelbase_by_tangent(name: str, steer: float) -> None:
