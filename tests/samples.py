@@ -40,9 +40,6 @@ def carla_log(name: str) -> Path:
     return path
 
 
-# --- a log, packed by hand as the format's description has it ------------------------------------------
-
-
 def text(value: str | bytes) -> bytes:
     data = value.encode() if isinstance(value, str) else value
     return struct.pack("<H", len(data)) + data
@@ -152,9 +149,6 @@ def drive(seconds: float = 30.0, rate: float = 20.0, size: int = 10) -> Iterator
         yield Frame(n, n + 1, n / rate, 1 / rate, packets)
 
 
-# --- recordings on the disk ----------------------------------------------------------------------------
-
-
 def write(path: Path, header: Header, frames: Iterable[Frame]) -> Path:
     with create_writer(path, header) as writer:
         for frame in frames:
@@ -178,9 +172,6 @@ def warnings_ignored() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecapWarning)
         yield
-
-
-# --- the content of a recording, in a form that can be compared --------------------------------------------
 
 
 def double(value: float) -> bytes:

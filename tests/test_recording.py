@@ -138,22 +138,6 @@ def test_an_id_that_is_used_again_is_the_heros_only_while_it_has_it(tmp_path, su
 # --- where they went -------------------------------------------------------------------------------------
 
 
-def test_velocities_are_recorded_or_derived(recording):
-    path = recording.trajectory(HERO)
-    assert path.velocity_recorded.tolist() == [True] * 10 + [False] * 10
-    assert (path.vx[:10].tolist(), path.vy[:10].tolist()) == ([11.0] * 10, [-12.0] * 10)
-    assert path.vz[:10].tolist() == [13.0] * 10
-    assert path.vx[10:] == pytest.approx(np.full(10, 2.0))
-    assert path.vy[10:] == pytest.approx(np.full(10, -0.2))
-    assert path.speed[0] == pytest.approx((11**2 + 12**2 + 13**2) ** 0.5)
-
-
-def test_an_actor_that_stands_has_no_speed(recording):
-    path = recording.trajectory(PROP)
-    assert path.x == pytest.approx(np.full(20, 0.07))
-    assert path.vx == pytest.approx(np.zeros(20), abs=1e-9)
-
-
 def test_an_actor_without_transforms_has_an_empty_trajectory(recording):
     path = recording.trajectory(CAMERA)
     assert (len(path), path.speed.tolist(), path.velocity_recorded.dtype) == (0, [], np.bool_)
@@ -203,9 +187,6 @@ def test_light_states(recording):
     assert states.state.tolist() == [0] * 10 + [2] * 10
     assert states.elapsed == pytest.approx(np.arange(20) * STEP)
     assert np.flatnonzero(states.frozen).tolist() == [4]
-
-
-# --- frames ----------------------------------------------------------------------------------------------
 
 
 def test_a_time_before_the_first_frame_is_an_error(recording):

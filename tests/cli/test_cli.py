@@ -64,9 +64,6 @@ def evil(tmp_path) -> Path:
     return path
 
 
-# --- how it is called --------------------------------------------------------------------------------------
-
-
 def strict(document: str) -> Any:
     """Parse JSON strictly."""
 
@@ -127,9 +124,6 @@ def test_text_cannot_control_a_terminal(evil, command):
     assert EVIL in answer(name, evil, "--text", *rest)  # in a pipe the bytes are as they are
 
 
-# --- JSON --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("command", [["info"], ["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
 def test_json(command):
     document = strict(answer(command[0], CROSSING, "--json", *command[1:]))
@@ -137,12 +131,6 @@ def test_json(command):
     assert list(document) == ["version", "map", "date", "rows", *about]
     assert (document["map"], document["frames"], document["duration"]) == ("Crossing", 531, 53.0)
     assert document["rows"]
-
-
-def test_json_of_numbers_that_are_not_finite(evil):
-    rows = strict(answer("info", evil, "--all", "--json"))["rows"]
-    (pose,) = (row["record"] for row in rows if row["type"] == "transforms")
-    assert (pose["x"], pose["y"], pose["z"]) == (None, None, 0.0)
 
 
 # --- on a terminal -----------------------------------------------------------------------------------------
@@ -217,14 +205,6 @@ def test_options_choose_the_form_on_a_terminal(form):
 )
 def test_two_forms_contradict_each_other(command):
     assert error(*command).startswith(f"{command[-2]} and {command[-1]}: one of them was expected. ")
-
-
-@pytest.mark.parametrize("command", [["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
-def test_a_table_cannot_control_a_terminal(evil, command):
-    code, shown, errors = on_terminal(command[0], evil, *command[1:])
-    assert (code, errors) == (0, b"")
-    assert "\\x1b]0;evil\\x07" in shown
-    assert not re.search("\x1b\\]|\x07|\x9b", shown)
 
 
 def test_a_conversion_has_a_progress_bar_on_a_terminal(tmp_path):
@@ -323,9 +303,6 @@ def test_an_error_cannot_control_a_terminal(tmp_path, name):
     expected = "no recordings; a glob" if "[" in name else "No such file"
     assert expected in error("info", name, cwd=tmp_path)
     assert "unknown format" in error("convert", CROSSING, f"new.x{name.removesuffix('.log')}", cwd=tmp_path)
-
-
-# --- destinations ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", ["convert", "recover"])

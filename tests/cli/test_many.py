@@ -76,21 +76,9 @@ def test_csv_without_rows_has_its_heading(tmp_path):
     assert lines("measures", tmp_path, "--csv", *MAP["measures"]) == [f"recording,{heading}"]
 
 
-def test_files_folders_and_globs_are_read_in_their_order_and_once(whole):
-    found = lines("collisions", "runs/d.log", "runs/*.mcap", "runs")
-    names = list(dict.fromkeys(line.partition("\t")[0] for line in found[1:]))
-    assert names == ["runs/d.log", "runs/b.mcap", "runs/a.log"]
-
-
 def test_a_list_of_recordings_is_read_from_stdin(whole):
     done = run("collisions", "-", input=b"runs/d.log\n\nruns/*.mcap\r\n")
     assert done.stdout.decode().splitlines() == lines("collisions", "runs/d.log", "runs/b.mcap")
-
-
-def test_a_folder_of_one_recording_is_many(whole):
-    for name in ("b.mcap", "d.log"):
-        (whole / name).unlink()
-    assert all(line.startswith(("Recording\t", "runs/a.log\t")) for line in lines("collisions", "runs"))
 
 
 def test_a_long_answer_is_the_same_by_processes(whole):
@@ -230,8 +218,7 @@ def children(process: int) -> list[int]:
     return [int(pid) for pid in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_ends_all_processes_at_once(tmp_path, number):
+def test_ctrl_c_ends_all_processes_at_once(tmp_path):
     folder = tmp_path / "slow"
     folder.mkdir()
     shutil.copy(CROSSING, folder / "0000.log")
@@ -244,9 +231,9 @@ def test_ctrl_c_ends_all_processes_at_once(tmp_path, number):
         with time_limit():
             while len(workers := children(process.pid)) < 3:  # and one that tracks resources
                 time.sleep(0.01)
-            os.killpg(process.pid, number)
+            os.killpg(process.pid, signal.SIGINT)
             _, messages = process.communicate()
-        assert process.returncode == 128 + number
+        assert process.returncode == 130
         assert messages.strip() == b""
         wait_until(lambda: not any(map(is_running, workers)))
 

@@ -19,7 +19,7 @@ import pytest
 
 from carla_recap import RecapWarning, cli, create_recording
 from carla_recap.cli.output import BAD_INPUT
-from carla_recap.output.terminal import TableColumn, print_table, shortened
+from carla_recap.output.terminal import TableColumn, print_table
 from tests.cli.command import CROSSING, wrote
 from tests.waiting import PATIENCE
 
@@ -232,12 +232,6 @@ def test_a_narrow_table_says_what_is_left_out(invoke, monkeypatch):
     assert not any("in a wider terminal" in line for line in wide)
 
 
-def test_long_paths_are_shortened_in_their_middle():
-    assert shortened("runs/2026/night/crash.mcap", 14) == "runs/…ash.mcap"
-    assert shortened("crash.mcap", 14) == "crash.mcap"
-    assert shortened("日本語のとても長い名前", 8) == "日 …名前"
-
-
 def test_a_table_fits_in_any_terminal():
     from rich.console import Console
 
@@ -296,9 +290,6 @@ def test_the_warning_of_unknown_maps_says_that_one_has_no_name(invoke):
             recorder.add_frame(0.0)
     done = invoke("incidents", "--kinds", "all", "a.mcap", "b.mcap")
     assert done.err.startswith("carla-recap: warning: 2 recordings are of unknown maps: (no name), 'Town05'; ")
-
-
-# --- the start ---------------------------------------------------------------------------------------------
 
 
 def test_ctrl_c_while_the_commands_are_imported_ends_the_process_without_a_traceback():

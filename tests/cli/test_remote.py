@@ -61,8 +61,6 @@ def test_ctrl_c_does_not_wait_for_a_server(tmp_path):
     assert (process.returncode, messages.strip()) == (130, b"")
 
 
-# --- moments -----------------------------------------------------------------------------------------------
-
 CLIPS = {
     ("#t=20.5",): (15.5, 25.5),
     ("#t=2",): (0, 7),

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import resource
-import signal
-import subprocess
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, run, wrote
+from tests.cli.command import CROSSING, error, run, wrote
 from tests.samples import names_in
 from tests.sensors.cars import drive
-from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,32 +71,3 @@ def test_a_bad_rig_and_an_unknown_actor_are_errors_that_name_them(tmp_path: Path
         "sense", CROSSING, tmp_path / "out.mcap", "--rig", rig(IMU), "--actor", 99
     )
     assert names_in(tmp_path) == ["rig.json"]
-
-
-def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, rig: Any) -> None:
-    """As on a full disk, the file cannot grow."""
-    size = 20_000
-    path, target = rig(IMU), tmp_path / "out.mcap"
-
-    def limited() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    done = run("sense", CROSSING, target, "--rig", path, preexec_fn=limited)
-    assert done.returncode == 2
-    assert f"{target}: cannot be written: File too large" in done.stderr.decode().splitlines()[-1]
-    assert b"Traceback" not in done.stderr
-    assert names_in(tmp_path) == ["rig.json"]
-
-
-def test_ctrl_c_leaves_nothing(tmp_path: Path, rig: Any) -> None:
-    source = drive(tmp_path / "long.mcap", 3000)
-    path, target = rig({**LIDAR, "points_per_second": 2_000_000, "channels": 64}), tmp_path / "out.mcap"
-    command = [COMMAND, "sense", source, target, "--rig", path]
-    with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
-        wait_until(lambda: any(path.name.endswith(".partial") for path in tmp_path.iterdir()))
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    assert "Traceback" not in said
-    assert names_in(tmp_path) == ["long.mcap", "rig.json"]

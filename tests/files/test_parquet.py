@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from carla_recap import RecapError, create_recording, export_parquet, open_recording
@@ -118,23 +117,3 @@ def test_tables_of_all_kinds_become_parquet_files(tmp_path: Path, ask: str) -> N
         assert {f.name: f.metadata[b"unit"].decode() for f in read.schema if f.metadata} == answer.units()
         with pytest.raises(RecapError, match=r"no/out\.parquet: cannot be written"):
             answer.to_parquet(tmp_path / "no" / "out.parquet")
-
-
-# --- the command ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_table_as_a_data_frame() -> None:
-    pytest.importorskip("pandas")
-    with open_recording(CROSSING) as recording:
-        table = recording.table("transforms")
-        frame = table.to_pandas()
-        assert list(frame.columns) == ["frame", "time", "id", "x", "y", "z", "roll", "pitch", "yaw"]
-        assert (frame["x"].dtype, frame["id"].dtype) == (np.float32, np.uint32)
-        np.testing.assert_array_equal(frame["x"], table["x"])
-        frame.loc[0, "x"] = 1.0
-        assert (
-            recording.table("spawned")
-            .to_pandas()["type_id"]
-            .iloc[0]
-            .startswith(("vehicle", "spectator", "traffic", "static"))
-        )

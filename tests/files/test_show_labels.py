@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 import carla_recap
-from carla_recap import RecapWarning, SensorRig, export
+from carla_recap import SensorRig, export
 from tests.files.readers import kitti_labels, size_of
 from tests.roads.towns import town
 from tests.samples import ROOT, carla_log
@@ -68,9 +68,6 @@ def test_labels_of_a_frame_that_is_not_there_are_an_error(tmp_path: Path) -> Non
     assert "000000.png" in line
 
 
-# --- a recording of CARLA ----------------------------------------------------------------------------------------
-
-
 def test_the_rig_beside_the_road_sees_the_hero_come(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "datasets.md").read_text("utf-8")
     (block,) = re.findall(r"^```json\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
@@ -82,13 +79,3 @@ def test_the_rig_beside_the_road_sees_the_hero_come(tmp_path: Path) -> None:
     distances = [found[0][1][12] for found in labels]
     assert np.diff(distances).max() < -5
     assert distances[-1] < 30
-
-
-def test_a_rig_on_the_hero_sees_no_other_road_user_which_a_warning_says(tmp_path: Path) -> None:
-    said = r"0\.9\.13-lane-center\.log: no other road user is seen in any image"
-    with (
-        carla_recap.open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording,
-        pytest.warns(RecapWarning, match=said),
-    ):
-        export(recording, tmp_path / "set", to="kitti", rig=KITTI, start=9, road_map=town("Town01"), **PART)
-    assert kitti_labels(tmp_path / "set", 0) == []

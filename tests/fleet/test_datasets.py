@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import pytest
 
 import carla_recap
-from carla_recap import RecapError, SensorRig, export_dataset
+from carla_recap import RecapError, SensorRig
 from carla_recap.fleet.datasets import splits_of
-from tests.sensors.cars import STEP, drive
+from tests.sensors.cars import drive
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,23 +17,6 @@ if TYPE_CHECKING:
 RIG = SensorRig.of(
     [{"type": "sensor.camera.rgb", "id": "front", "x": 2, "y": 0, "z": 1.5, "width": 64, "height": 48, "fov": 90}]
 )
-
-
-def test_recordings_become_one_dataset_but_for_those_that_fail(driver: None, tmp_path: Path) -> None:
-    (tmp_path / "runs").mkdir()
-    for name in ("a", "b"):
-        drive(tmp_path / "runs" / f"{name}.mcap", 2)
-    (tmp_path / "runs" / "broken.log").write_bytes(b"no recording")
-    options = {"to": "coco", "rig": RIG, "rate": 1 / STEP, "quality": "low", "split": {"val": 1.0}, "jobs": 2}
-    done = export_dataset(tmp_path / "runs", tmp_path / "out", **options)
-    assert (done.frames, done.seconds) == (4, pytest.approx(2 * STEP))
-    assert done.recordings == tuple(str(tmp_path / "runs" / f"{name}.mcap") for name in ("a", "b"))
-    assert list(done.failed) == [str(tmp_path / "runs" / "broken.log")]
-    assert "is not a recording" in done.failed[str(tmp_path / "runs" / "broken.log")]
-    images = json.loads((tmp_path / "out" / "annotations" / "instances_val.json").read_text())["images"]
-    assert [image["recording"] for image in images] == ["a", "a", "b", "b"]
-    with pytest.raises(RecapError, match="out: is not empty"):
-        export_dataset(tmp_path / "runs", tmp_path / "out", **options)
 
 
 @pytest.mark.parametrize(

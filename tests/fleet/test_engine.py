@@ -46,8 +46,6 @@ def test_thousands_of_jobs_are_no_thousands_of_processes(monkeypatch):
     assert given == [max(32, 4 * processors())]
 
 
-# --- open recordings ---------------------------------------------------------------------------------------
-
 CRASH = CROSSING.with_name("crash.mcap")
 
 

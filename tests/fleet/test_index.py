@@ -13,7 +13,6 @@ import pytest
 
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.editing.author import packets_of
-from carla_recap.fleet.index.database import create_index
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.fleet.sources import SourceFile
 from carla_recap.model.frame import Frame, Header
@@ -192,11 +191,6 @@ def test_positions_are_in_metres_and_right_handed(index):
     assert (row["x"], row["y"]) == pytest.approx((stop.x / 100, -stop.y / 100))
 
 
-def test_columns_have_units(index):
-    schema = open_index(index).table("stationary").schema
-    assert schema.field("duration").metadata == {b"unit": b"s"}
-
-
 def test_numbers_that_are_not_finite_are_null(tmp_path):
     with create_recording(tmp_path / "own.mcap", map_name="Town01") as recorder:
         recorder.add_frame(0.0, spawned=[Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt")])
@@ -369,14 +363,6 @@ def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
     with open_index(index) as opened, pytest.raises(RecapError, match=message) as caught:
         opened.sql(query)
     assert "\n" not in str(caught.value)
-
-
-def test_rows_are_in_small_groups_which_a_checkpoint_has_in_memory(tmp_path):
-    tables = {name: table.schema.empty_table() for name, table in TABLES.items()}
-    rows = pa.Table.from_pylist([{}] * 50_000, TABLES["stationary"].schema)
-    create_index(tmp_path / "index").replace(tables | {"stationary": rows})
-    groups = open_index(tmp_path / "index").sql("select max(row_group_id) as last from pragma_storage_info('stationary')")
-    assert groups["last"].to_pylist() == [2]
 
 
 def test_a_query_that_is_not_unicode_is_an_error(index):

@@ -24,10 +24,6 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_there_are_ten_questions():
-    assert len(QUESTIONS) >= 10
-
-
 @pytest.mark.parametrize(("query", "shown"), [pytest.param(query, shown, id=name) for name, query, shown in QUESTIONS])
 def test_a_question_has_the_answer_that_is_shown(folder, capfdbinary, query, shown):
     from carla_recap.cli.index import show_rows

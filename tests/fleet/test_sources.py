@@ -107,9 +107,6 @@ def test_file_urls_mean_paths(folder):
     assert not means_one((folder / "deep").as_uri())
 
 
-# --- URLs --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("url", ["http://host/runs/*.mcap", "https://host/runs/", "http://[::1]/[ab].log"])
 def test_web_servers_list_no_files(url):
     with pytest.raises(RecapError) as caught:

@@ -33,9 +33,6 @@ def test_the_benchmarks_run(tmp_path):
     assert equal.endswith("ok")
 
 
-# --- the stored results, and the pages that are written from them ------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def rows() -> list[str]:
     pytest.importorskip("msgpack", reason="the extra `server` is not installed")

@@ -46,9 +46,6 @@ def test_the_version_is_the_same_everywhere():
     assert parsed(text_of("CITATION.cff"))["version"] == PROJECT["version"]
 
 
-# --- GitHub -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("path", sorted(GITHUB.glob("workflows/*.yml")), ids=lambda path: path.stem)
 def test_a_workflow_names_what_exists(path):
     text = path.read_text("utf-8")
@@ -72,9 +69,6 @@ def test_a_workflow_names_what_exists(path):
 @pytest.mark.parametrize("page", ["docs/releasing.md", "CONTRIBUTING.md"])
 def test_the_targets_that_a_page_names_exist(page):
     assert set(re.findall(r"`?make ([a-z-]+)", text_of(page))) <= TARGETS
-
-
-# --- the image --------------------------------------------------------------------------------------
 
 
 def instructions(word: str) -> list[str]:
@@ -125,9 +119,6 @@ def test_the_health_check_asks_the_server():
     with running() as port:
         command = [sys.executable, "-c", program.replace("2000", str(port)).replace("(5)", "(60)")]
         assert subprocess.run(command, timeout=120, check=False).returncode == 0
-
-
-# --- the demo ---------------------------------------------------------------------------------------
 
 
 def test_the_demo_installs_what_its_commands_need():

@@ -111,9 +111,6 @@ def test_the_script_makes_the_same_frames(tmp_path):
         assert logs[0].read_bytes() == logs[1].read_bytes(), name
 
 
-# --- the sample campaign, its rules, and the workflows for continuous integration ----------------------
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """A folder with a run in which the hero brakes in time, and one in which it does not."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from time import process_time
 
 import pytest
 
@@ -50,18 +49,6 @@ def test_an_actor_has_no_part_in_contacts_of_one_that_had_its_id_before() -> Non
     assert contacts.affected(later, 0.0) == [(1.2, 1.7)]
 
 
-def test_contacts_of_many_actors_with_one_id_take_time_in_proportion() -> None:
-    def seconds(count: int) -> float:
-        frame = Frame(0, 1, 0.0, 0.05, []).replace(spawned=[Spawn(2, 1)], collisions=[(0, 1, 2, 1, 0)])
-        contacts, start = Contacts(), process_time()
-        for _ in range(count):
-            contacts.add(frame)
-        return process_time() - start
-
-    few = min(seconds(500) for _ in range(3))
-    assert seconds(4_000) < 20 * few
-
-
 def test_records_of_adjacent_frames_belong_together_whatever_the_time_between_them() -> None:
     touched = [(1.5 * number, (1, 2)) for number in range(10)]
     assert [(each.number, each.start, each.stop) for each in collected(*touched, frames_between=0)] == [(1, 0.0, 13.5)]
@@ -100,45 +87,3 @@ def test_who_stands_has_not_caused_a_contact(speeds: tuple[float, float], causes
 def test_without_an_impact_both_actors_may_have_caused_a_contact() -> None:
     contact = Contact(1, (7, 8), (False, False), 3, 1.0, 1.0)
     assert [contact.is_caused_by(id) for id in (7, 8, 9)] == [True, True, False]
-
-
-def test_speeds_of_an_impact() -> None:
-    impact = Impact(0, 1, 2, velocities=((3.0, 0.0, 4.0), UNKNOWN))
-    assert impact.speeds == (5.0, pytest.approx(math.nan, nan_ok=True))
-    assert math.isnan(impact.relative_speed)
-    assert impact.with_fixed(False, True).relative_speed == 5.0
-    assert impact.with_fixed(True, True).speeds == (0.0, 0.0)
-    assert Impact(0, 1, 2, velocities=((3.0, 1.0, 0.0), (0.0, 1.0, -4.0))).relative_speed == 5.0
-
-
-def at(elapsed: float, **places: tuple[float, float, float]) -> Frame:
-    """Return a frame with actors (`a1`, …) at places in cm."""
-    rows = [(int(name[1:]), *place, 0.0, 0.0, 0.0) for name, place in places.items()]
-    return Frame(0, 1, elapsed, 0.05, []).replace(transforms=rows)
-
-
-def velocity_of(seconds: float, then: tuple[float, float, float], now: tuple[float, float, float]) -> tuple[float, ...]:
-    return Impact.of((2, 1, 2), at(5.0), at(3.0 + seconds, a1=now), at(3.0, a1=then)).velocities[0]
-
-
-def test_velocities_follow_from_the_two_frames_before_a_contact() -> None:
-    assert velocity_of(0.5, (100, 200, 50), (250, -100, 80)) == pytest.approx((3.0, -6.0, 0.6))
-    assert velocity_of(1.0, (100, 200, 50), (250, -100, 80)) == pytest.approx((1.5, -3.0, 0.3))
-    assert velocity_of(0.5, (0, 0, 0), (5000, 0, 0)) == pytest.approx((100, 0, 0))
-
-
-@pytest.mark.parametrize(("seconds", "way"), [(0.0, 100), (-0.5, 100), (1.001, 100), (0.5, 5001)])
-def test_a_velocity_is_unknown_after_a_jump_or_a_long_time(seconds: float, way: float) -> None:
-    assert velocity_of(seconds, (0, 0, 0), (way, 0, 0)) is UNKNOWN
-
-
-def test_a_jump_before_a_contact_is_longer_than_a_recorded_velocity_explains() -> None:
-    earlier = at(4.8, a1=(0, 0, 0)).replace(velocities=[(1, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
-    assert Impact.of((2, 1, 2), at(5.0), at(5.0, a1=(590, 0, 0)), earlier).speeds[0] == pytest.approx(29.5)
-    assert Impact.of((2, 1, 2), at(5.0), at(5.0, a1=(610, 0, 0)), earlier).velocities[0] is UNKNOWN
-
-
-def test_an_impact_has_the_positions_of_its_own_frame() -> None:
-    impact = Impact.of((2, 1, 2), at(5.0, a1=(1, 2, 3)), None, None)
-    assert impact.positions == ((1, 2, 3), UNKNOWN)
-    assert impact.velocities == (UNKNOWN, UNKNOWN)

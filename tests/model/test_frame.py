@@ -7,7 +7,6 @@ import struct
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from carla_recap import FormatError, MissingExtra, NotARecording, RecapWarning, RecordError, Spawn
@@ -121,11 +120,6 @@ def test_errors_travel_between_processes(error):
 @pytest.mark.parametrize("type", [*UE4, *UE5, *DIGEST], ids=lambda type: type.name + "_wide" * type.wide)
 def test_record_types_are_the_same_in_other_processes(type):
     assert pickle.loads(pickle.dumps(type)) is type
-
-
-def test_arrays_of_a_frame_are_structured(frame):
-    assert isinstance(frame["transforms"], np.ndarray)
-    assert frame["transforms"].dtype.names == ("id", "x", "y", "z", "roll", "pitch", "yaw")
 
 
 def test_records_can_be_replaced():

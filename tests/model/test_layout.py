@@ -108,9 +108,6 @@ def test_every_packet_of_the_small_log_comes_back():
             assert pack(UE4[id], records) == payload
 
 
-# --- what cannot be written ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["transforms", "spawned", "destroyed", "wheels"])
 def test_more_records_than_a_packet_counts_are_refused(name):
     type = UE4.named(name)

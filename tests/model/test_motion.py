@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from carla_recap.model.motion import motion_of, neighbours, place_in_metres, possible_step, rates, runs, slope, steps_joined
+from carla_recap.model.motion import motion_of, place_in_metres, possible_step, rates, runs, slope, steps_joined
 from tests.twins import motion as twin
 
 NAN = np.nan
@@ -33,12 +33,6 @@ def test_a_longer_step_is_a_jump(seconds: float, speed: float, least: float, ste
 def test_steps_of_several_actors() -> None:
     speed = np.array([[np.nan, 10.0], [40.0, np.nan]])
     assert possible_step(np.array([0.1, 0.2]), speed).tolist() == [[10.0, 6.0], [12.0, 20.0]]
-
-
-def test_neighbours() -> None:
-    before, after = neighbours(np.array([True, False, True, True]))
-    assert before.tolist() == [0, 0, 2, 2, 3]
-    assert after.tolist() == [1, 1, 3, 4, 4]
 
 
 def test_runs_of_flagged_frames() -> None:

@@ -56,17 +56,6 @@ def test_all_points_are_inside(shown):
         assert 0 <= float(y) <= height
 
 
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_motion_is_read_once_and_events_once(tmp_path, monkeypatch, suffix):
-    read, rows = [], [{"transforms": [pose(7, 100.0 * number, 0.0)]} for number in range(600)]
-    rows[0]["spawned"] = [spawn(7)]
-    with open_recording(write(tmp_path / f"drive{suffix}", rows)) as recording:
-        batches = recording.reader.batches
-        monkeypatch.setattr(recording.reader, "batches", lambda types, **more: read.append(types) or batches(types, **more))
-        assert "<polyline" in recording._repr_html_()
-    assert ["transforms" in types for types in read] == [False, True]
-
-
 def test_an_actor_that_is_listed_in_the_place_of_another_is_not_taken_for_it(tmp_path):
     rows = [{"transforms": [pose(7 if number < 40 else 8, 100.0 * number, 0.0)]} for number in range(80)]
     rows[0]["spawned"] = [spawn(7), spawn(8, "static.prop.mesh")]

@@ -55,9 +55,6 @@ def printed(answer: Any, width: int = 200) -> str:
     return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
 
 
-# --- JSON ------------------------------------------------------------------------------------------------
-
-
 def test_json(make: Make) -> None:
     answer = collisions(make({"spawned": [spawn(1, "vehicle.été")]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0)]}))
     assert parsed(answer) == {
@@ -102,9 +99,6 @@ def test_json_of_texts_that_are_none(make: Make) -> None:
     record = answer["rows"][0]["record"]
     assert (answer["map"], record["type_id"]) == ("?", "a?b")
     assert record["attributes"] == [{"type": 3, "key": "k?", "value": "\x1b"}]
-
-
-# --- tables ----------------------------------------------------------------------------------------------
 
 
 def test_table_of_collisions(make: Make) -> None:

@@ -1,9 +1,6 @@
 from __future__ import annotations
 
 import math
-import sys
-import threading
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +14,6 @@ from carla_recap.model.records import Spawn
 from carla_recap.output.text import text
 from carla_recap.queries.blocked import BlockedRow, blocked
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from tests.cli.command import CROSSING
-from tests.samples import reading
 from tests.twins.stationary import stationary
 
 if TYPE_CHECKING:
@@ -124,9 +119,6 @@ def test_double_precision(make: Make) -> None:
     assert blocked(make(*far), 0.5) != []
 
 
-# --- against the twin --------------------------------------------------------------------------------------
-
-
 ids = st.integers(1, 5)
 lengths = st.one_of(
     st.sampled_from([0.0, 3.0, 5.0, 9.999999, 10.0, 10.000001, 20.0, 26.0, 4000.0, 1e30, math.nan, math.inf]),
@@ -208,28 +200,3 @@ def test_incidents_of_a_part_have_the_stops_that_overlap_it(make: Make, with_dig
     for start, stop, count in ((50, 60, 1), (0, 1, 1), (99, 1000, 1), (102, 1000, 0), (-math.inf, 0.2, 0)):
         found = incidents(make(*frames), IncidentOptions(start=start, stop=stop, **limits))
         assert [(row.start, row.stop) for row in found] == [(0.5, 100.0)] * count
-
-
-def test_a_thread_that_holds_frames_of_others_changes_nothing() -> None:
-    """A profiler samples the frames of threads and keeps them, and with them views of what the query computes with."""
-    done = threading.Event()
-    held: deque[object] = deque(maxlen=1000)
-
-    def sample() -> None:
-        while not done.is_set():
-            held.extend(sys._current_frames().values())
-
-    sampler = threading.Thread(target=sample)
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)
-    sampler.start()
-    try:
-        for compat in (False, True):
-            with reading(CROSSING) as reader:
-                found = blocked(reader, 10, compat=compat)
-            assert len(found) > 2
-    finally:
-        done.set()
-        sampler.join()
-        sys.setswitchinterval(interval)
-    assert held

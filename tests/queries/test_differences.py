@@ -370,9 +370,6 @@ def test_rows_are_a_table(drive: Callable[..., Reader]) -> None:
     assert found.lights.columns()["id_a"].tolist() == [13]
 
 
-# --- large and hostile recordings ----------------------------------------------------------------------------------------
-
-
 def numbered(count: int, rows: Callable[[int], Sequence[tuple[float, ...]]], spawns: Sequence[Spawn]) -> Iterator[Frame]:
     for n in range(count):
         yield frame(n, n / RATE, 1 / RATE, {"transforms": rows(n), **({"spawned": spawns} if n == 0 else {})})

@@ -141,9 +141,6 @@ def test_the_actor_is_the_one_that_had_the_id_then(make: Make) -> None:
     assert [row.type_ids[0] for row in rows] == ["vehicle.b", "vehicle.later"]
 
 
-# --- blocked actors ------------------------------------------------------------------------------------
-
-
 def test_only_vehicles_and_walkers_are_blocked(make: Make) -> None:
     still = {"transforms": [pose(id, 100.0 * id, 50.0) for id in (2, 3, 4, 99)]}
     rows = list(

@@ -103,9 +103,6 @@ def test_topics_elsewhere_are_no_sensors(tmp_path, name):
         assert name in recording.reader.further_topics()
 
 
-# --- where they are listed ------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     return sensed(tmp_path_factory.mktemp("sensed") / "run.mcap")

@@ -116,9 +116,6 @@ def test_the_nearer_of_two_boxes_is_seen(renderer: Renderer) -> None:
         assert ids(images[INSTANCE])[60, 80] == 0x1234 + (centres[0][0] > centres[1][0])
 
 
-# --- the axes of the camera ---------------------------------------------------------------------------------------------
-
-
 def test_angles_are_those_of_carla(renderer: Renderer) -> None:
     carla = pytest.importorskip("carla", reason="carla is not installed")
     for roll, pitch, yaw in ((0, 0, 30), (0, 25, 0), (15, -10, 40), (-30, 20, -100)):

@@ -271,11 +271,3 @@ def test_the_workers_of_a_cluster_judge_by_functions(runs: Path) -> None:
         with pytest.raises(RecapError, match=r"the Dask worker tcp://.*: there is no module my_rules, in ") as caught:
             list(check_sources(find_sources([str(runs)]), rules, client=client))
     assert "\n" not in str(caught.value)
-
-
-def test_the_command_says_it_in_one_line(runs: Path) -> None:
-    done = run("check", runs, "--rules", runs.parent / "rules.toml")
-    lines = done.stdout.decode().splitlines()
-    assert done.returncode == 2
-    assert done.stderr == b""
-    assert len([line for line in lines if "raises ZeroDivisionError: division by zero (beside.py, line 2)" in line]) == 3

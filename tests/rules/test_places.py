@@ -145,13 +145,6 @@ def test_a_polygon_of_many_points_is_refused_at_once():
     assert len(str(caught.value)) < 400
 
 
-def test_the_largest_polygon_is_examined_at_once():
-    angle = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
-    corners = [[float(x), float(y)] for x, y in np.stack((np.cos(angle), np.sin(angle)), axis=1) * 100]
-    with time_limit():
-        make_rules(reaches={"of": "hero", "polygon": corners})
-
-
 DEEP = functools.reduce(lambda inner, _: [inner], range(5000), [])
 ODD = (
     [],

@@ -362,9 +362,6 @@ def test_another_actor_can_be_followed(tmp_path):
     assert xyz(view.translation) != pytest.approx(xyz(hero.translation), abs=1)
 
 
-# --- events --------------------------------------------------------------------------------------------------------
-
-
 def test_the_log_has_actors_and_each_contact_once(crossing):
     lines = [(round(time, 3), line.message, line.level) for time, line in crossing["/log"] if line.name != "incidents"]
     assert lines[0] == (0, "10 actors are there: 4 traffic lights, 4 vehicles, 2 others", 2)

@@ -138,20 +138,6 @@ def test_a_full_destination_is_an_error_of_one_line(small):
     assert (done.returncode, done.stderr.decode()) == (FAILED, line)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_an_interruption_prints_nothing():
-    command = [sys.executable, "-c", RUN, SAMPLE]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        try:
-            assert process.stdout.read(4)  # it has begun to send
-            process.send_signal(signal.SIGINT)
-            process.stdout.read()
-            assert process.wait(PATIENCE) in (-signal.SIGINT, 0)
-            assert process.stderr.read() == b""
-        finally:
-            process.kill()
-
-
 @pytest.fixture
 def viewer_path(crossing_rrd, monkeypatch):
     """A PATH on which the viewer finds the importer."""

@@ -242,9 +242,6 @@ def test_properties(crossing) -> None:
     assert recording["recorder_version"] == [1]
 
 
-# --- real recordings ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("name", "view"), [(REAL[0], "chase"), (REAL[1], "top")])
 def test_real_recordings(name: str, view: str, tmp_path: Path) -> None:
     log, town = carla_log(f"{name}.log"), CARLA_LOGS.parent / "maps" / "Town01.xodr"

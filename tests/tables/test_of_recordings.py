@@ -140,20 +140,6 @@ def test_packets_before_the_first_frame_are_not_in_the_table_of_frames(tmp_path:
 
 
 @both_formats
-def test_doubles_of_ue5_stay_doubles(tmp_path: Path, suffix: str) -> None:
-    transforms = UE5.named("transforms").records({"id": [1], "x": [0.1]})
-    frames = [
-        Frame(n, n + 1, float(n), 1.0, [*strategies.signature(wide=True, shifted=False), packet_of(transforms)])
-        for n in range(3)
-    ]
-    with open_recording(write(tmp_path / f"ue5{suffix}", Header("Town10", 0, wide=True), frames)) as recording:
-        table = recording.table("transforms")
-        assert table["x"].dtype == np.float64
-        assert table["x"][table["id"] == 1].tolist() == [0.1] * 3
-        assert recording.trajectory(1, axes="carla").x.tolist() == [0.1 * CM] * 3
-
-
-@both_formats
 def test_packets_that_are_kept_as_bytes_have_an_empty_table(tmp_path: Path, suffix: str) -> None:
     type = UE5.named("physics")
     packets = [*strategies.signature(wide=True, shifted=False), Packet(type.id, type, b"\1\0" + bytes(range(200)))]
@@ -407,13 +393,6 @@ def test_a_batch_takes_names_and_slices_of_frames_in_a_row(key: object) -> None:
         assert len(batch[1:4]) == len(batch[1:4:1]) == 3
         with pytest.raises(TypeError, match="expected the name of a record type, or a slice of frames in a row, found"):
             batch[key]  # type: ignore[call-overload]
-
-
-def test_without_vehicles_there_are_no_trajectories_of_vehicles(tmp_path: Path) -> None:
-    with create_recording(tmp_path / "empty.log", map_name="T") as recorder:
-        recorder.add_frame(0.0)
-    with open_recording(tmp_path / "empty.log") as recording:
-        assert len(recording.trajectories("vehicle")) == 0
 
 
 def test_rows_that_are_later_than_all_before() -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.util.functions import function_in, keywords_of
+from carla_recap.util.functions import function_in
 
 SOURCE = """
 from functools import partial
@@ -67,9 +67,3 @@ def test_a_file_is_not_run_before_the_call(tmp_path):
     function, _ = function_in(f"{tmp_path / 'file.py'}:run")
     with pytest.raises(LookupError):
         function()
-
-
-def test_keywords_of_a_function():
-    found = keywords_of(lambda world, delay, speed=3: None)
-    assert (found.names, found.required, found.has_any) == (("delay", "speed"), {"delay"}, False)
-    assert keywords_of(print) is not None

@@ -18,9 +18,6 @@ def car(x: float, y: float, heading: float = 0.0, speed: float = 0.0, length: fl
     return Boxes(x, y, yaw, length, 2.0, speed * math.cos(yaw), speed * math.sin(yaw))
 
 
-# --- analytic cases -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("one", "other", "seconds"),
     [
@@ -76,8 +73,6 @@ def test_what_is_not_a_number_gives_no_number_and_no_warning() -> None:
     assert np.isnan(required_deceleration(math.nan, 3, 2))
     assert np.isnan(time_headway(math.nan, 3))
 
-
-# --- against slow references ----------------------------------------------------------------------------
 
 reals = st.floats(-20, 20).map(lambda value: round(value, 3))
 sizes = st.floats(0.3, 12).map(lambda value: round(value, 3))

@@ -77,12 +77,6 @@ def test_it_is_the_entry_of_the_second_less_the_exit_of_the_first(v1: float, v2:
         assert found == math.inf or found < 0.1
 
 
-# --- many frames at once --------------------------------------------------------------------------------
-
-
-# --- what counts as a crossing ---------------------------------------------------------------------------
-
-
 LIVES = tuple(ActorLife(id, "vehicle.audi.tt", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
 
 

@@ -95,14 +95,6 @@ def test_deceleration(drive: Drive) -> None:
     assert "acceleration" not in found
 
 
-def test_sizes_are_those_of_the_blueprint_where_none_are_recorded(drive: Drive) -> None:
-    cars = [
-        straight(1, 0, 0, 0, role_name="hero", type_id="vehicle.audi.a2", size=None),  # 3.71 m long
-        straight(2, 10, 0, 0, type_id="vehicle.no.such", size=None),  # 4.5 m
-    ]
-    assert values(measures(drive(cars, seconds=0.0)))["gap"] == pytest.approx(10 - 3.71 / 2 - 2.25, abs=1e-3)
-
-
 def test_the_impact_itself_is_no_braking(drive: Drive) -> None:
     hero = Mover(1, lambda t: min(10 * t, 20.0), role_name="hero")
     reader = drive([hero, straight(2, 24, 0, 0)], seconds=4.0, events={40: {"collisions": [(0, 1, 2, 1, 0)]}})
@@ -129,51 +121,10 @@ def test_a_recorded_collision_is_a_contact(drive: Drive, suffix: str) -> None:
     assert of(measures(drive(cars, seconds=4)))["gap"].value == pytest.approx(0.057, abs=1e-3)
 
 
-@pytest.mark.parametrize("yaw", [0.0, 180.0])
-def test_in_reverse_an_actor_comes_as_near_to_what_it_backs_towards(drive: Drive, yaw: float) -> None:
-    """It stops 0.5 m before a parked car, and stands there for long."""
-    reader = drive(
-        [Mover(1, lambda t: min(3 * t, 6), yaw=lambda _: yaw, role_name="hero"), straight(2, 10.5, 0, 0)], seconds=8
-    )
-    assert values(measures(reader))["time_to_collision"] == pytest.approx(0.65 / 3, abs=0.01)
-    (found,) = incidents(reader, IncidentOptions(kinds=["near miss"]))
-    assert found.value == pytest.approx(0.65 / 3, abs=0.01)
-
-
 def test_an_actor_that_reverses_away_from_a_vehicle_does_not_follow_it(drive: Drive) -> None:
     found = values(measures(drive([straight(1, 0, 0, -2, role_name="hero"), straight(2, 4.5, 0, 0)])))
     assert (found["distance_headway"], found["required_deceleration"]) == (pytest.approx(0.5, abs=1e-3), 0)
     assert "time_headway" not in found
-
-
-def test_a_time_to_collision_with_what_was_hit_does_not_count_for_five_seconds(drive: Drive) -> None:
-    """A vehicle hits another one, which the hero then approaches."""
-    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 84, 0, 0), straight(3, 84, 2.1, 0)]
-    near = of(measures(drive(cars, seconds=7)))["time_to_collision"]
-    assert near.value == pytest.approx(1.0, abs=0.01)
-    hit = {100: {"collisions": [(0, 3, 2, 0, 0)]}}
-    far = of(measures(drive(cars, seconds=7, events=hit)))["time_to_collision"]
-    assert (far.value, far.time) == (pytest.approx(3.05, abs=0.01), pytest.approx(4.95))
-
-
-@pytest.mark.parametrize("seconds", [2.0, 4.0, 9.0])
-def test_any_time_to_collision_takes_paths_that_meet(drive: Drive, seconds: float) -> None:
-    """A car turns off before it reaches the one that it drives towards."""
-    radius = 15.0
-
-    def angle(t: float) -> float:
-        return max(t - 0.5, 0.0) * 10 / radius
-
-    turning = Mover(
-        1,
-        lambda t: min(10 * t, 5.0) + radius * math.sin(angle(t)),
-        lambda t: radius * (1 - math.cos(angle(t))),
-        lambda t: math.degrees(angle(t)),
-        role_name="hero",
-    )
-    reader = drive([turning, straight(2, 4 + 10 * (seconds + 0.5), 0, 0)], seconds=1.5)
-    assert time_series(reader, 1).time_to_collision.min() == pytest.approx(seconds, abs=0.11)
-    assert "time_to_collision" not in of(measures(reader))
 
 
 # --- of which actors ------------------------------------------------------------------------------------
@@ -239,9 +190,6 @@ def test_actors_that_do_not_exist_are_an_error(street: Reader, actors: Any, erro
         measures(street, actors)
 
 
-# --- recordings -----------------------------------------------------------------------------------------
-
-
 def test_output(street: Reader) -> None:
     found = measures(street, [3])
     assert '"measure": "time_to_collision", "actor": 3, "type_id": "vehicle.audi.tt"' in "".join(json(found))
@@ -266,26 +214,6 @@ def test_nothing_to_measure(drive: Drive) -> None:
 
 
 # --- over time ------------------------------------------------------------------------------------------
-
-
-def test_over_time(drive: Drive) -> None:
-    cars = [straight(1, 0, 0, 15), straight(2, 40, 0, 10), straight(3, 0, 6, 15, kind=2, type_id="walker.a", size=(1, 1))]
-    reader = drive(cars, seconds=3.0)
-    found = time_series(reader, 1)
-    assert len(found) == 61
-    assert found.time == pytest.approx(np.arange(61) / 20)
-    assert found.distance_headway == pytest.approx(36 - 5 * found.time, abs=1e-2)
-    assert found.time_to_collision == pytest.approx(found.distance_headway / 5, abs=1e-2)
-    assert found.time_headway == pytest.approx(found.distance_headway / 15, abs=1e-2)
-    assert found.gap == pytest.approx(4.5, abs=1e-2)
-    assert (set(found.leader), set(found.threat), set(found.nearest)) == ({2}, {2}, {3})
-    of_pair = time_series(reader, 1, 2)
-    assert of_pair.gap == pytest.approx(found.distance_headway, abs=1e-2)
-    alone = time_series(reader, 3, 2)
-    assert set(alone.leader) == {-1}
-    assert np.isinf(alone.time_to_collision).all()
-    with pytest.raises(RecapError, match="no vehicle or walker 4"):
-        time_series(reader, 4)
 
 
 @pytest.mark.parametrize("pair", [("hero", "hero"), ("hero", 1), (1, "hero"), (2, 2)])

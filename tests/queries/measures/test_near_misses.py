@@ -9,7 +9,6 @@ import pytest
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.motion import MOTION
 from carla_recap.model.records import Spawn
-from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.measures.pairs import paths_meet
@@ -53,25 +52,6 @@ def test_encounters_of_two_actors_with_one_id_are_two(drive: Drive) -> None:
 # --- by time to collision -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-@pytest.mark.parametrize("from_time", [0.5, 1.27, 1.4, 2.0])
-def test_the_time_is_the_least_until_the_encounter_ends(drive: Drive, suffix: str, from_time: float) -> None:
-    """It brakes from 15 m/s to 1.5 m/s, where no deceleration would be critical, and rolls on for 0.3 s until it stands."""
-    slow = from_time + 13.5 / 7
-
-    def position(t: float) -> float:
-        braking = min(max(t - from_time, 0.0), 13.5 / 7)
-        return 15 * (min(t, from_time) + braking) - 3.5 * braking * braking + 1.5 * min(max(t - slow, 0.0), 0.3)
-
-    reader = drive([Mover(1, position), straight(2, position(slow) + 4.8, 0, 0)], seconds=6, suffix=suffix)
-    (found,) = near_misses(reader)
-    (least,) = (row for row in measures(reader, {1}) if row.measure == "time_to_collision")
-    assert least.time > slow
-    assert (found.time_to_collision, found.time) == (least.value, least.time)
-    assert found.speed == pytest.approx(1.5, abs=0.01)
-    assert found.start < found.time == found.stop
-
-
 @pytest.mark.parametrize(("final_gap", "deceleration", "required"), [(2.0, 2.0, 1.0), (1.5, 3.0, 1.5), (1.0, 7.0, 3.5)])
 def test_an_encounter_is_found_by_its_time_unless_it_requires_too_little_deceleration(
     drive: Drive, final_gap: float, deceleration: float, required: float
@@ -102,17 +82,6 @@ def test_an_encounter_is_found_by_its_time_unless_it_requires_too_little_deceler
 )
 def test_no_near_miss(drive: Drive, other: Mover) -> None:
     assert near_misses(drive([straight(1, 0, 0, 15), other], seconds=8)) == []
-
-
-# --- where paths cross ----------------------------------------------------------------------------------
-
-
-def test_crossing_paths(drive: Drive) -> None:
-    (found,) = near_misses(drive([straight(1, -20, 0, 10), straight(2, 0, -30, 10, yaw=90)], seconds=6))
-    assert (found.one.id, found.other.id) == (2, 1)
-    assert found.post_encroachment_time == pytest.approx(0.4, abs=0.03)
-    assert found.time_to_collision == math.inf
-    assert (found.start, found.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
 
 
 # --- encounters -----------------------------------------------------------------------------------------

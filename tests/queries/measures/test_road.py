@@ -498,9 +498,6 @@ def events_in(recording: Path) -> list[RoadEvent]:
         reader.close()
 
 
-# --- recordings of CARLA -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log"])
 def test_a_calm_drive_in_town01_breaks_no_rule(name: str) -> None:
     roads = load_road_network(town("Town01"))

@@ -132,9 +132,6 @@ def test_without_an_actor_the_camera_shows_most_of_them() -> None:
     assert np.isfinite(camera("top", None, seen=instances((math.nan, 0, 0))).location).all()
 
 
-# --- what is see-through --------------------------------------------------------------------------------------
-
-
 def test_opacity_changes_slowly() -> None:
     filmed = subject()
     x, y, z = filmed.ground.tolist()

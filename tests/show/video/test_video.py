@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,11 +18,10 @@ from carla_recap.errors import RecapError
 from carla_recap.show.video import export_video
 from carla_recap.show.video.film import Film
 from carla_recap.town.mesh import load_town_of
-from tests.cli.command import COMMAND, ENVIRONMENT, error, run
+from tests.cli.command import error, run
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import names_in
 from tests.show.video.conftest import SAMPLES
-from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -245,19 +242,6 @@ def the_said(stderr: bytes) -> str:
 def test_errors_of_the_command(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
     assert message in error("video", SAMPLES / "crossing.log", tmp_path / "out.mp4", *arguments)
 
-
-def test_ctrl_c_leaves_nothing(tmp_path: Path, renderer: RenderProcess) -> None:
-    command = [COMMAND, "video", SAMPLES / "crossing.log", tmp_path / "out.mp4", "--size", "320x180"]
-    with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE) as process:
-        wait_until(lambda: process.poll() is not None or names_in(tmp_path))
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 130
-        assert process.stderr is not None
-        assert process.stderr.read().strip() == b""
-    assert names_in(tmp_path) == []
-
-
-# --- a browser ------------------------------------------------------------------------------------------------
 
 PLAYED = """
 const [url, done] = arguments, video = document.createElement("video");
