@@ -9,7 +9,7 @@ import signal
 import sys
 from collections import Counter
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -19,9 +19,6 @@ from carla_recap.model.frame import Header
 from tests.browser import chromium, shared_browser
 from tests.samples import drive, save, small_log, write
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["chromium", "shared_browser"]
 

@@ -5,22 +5,18 @@ from __future__ import annotations
 import math
 import struct
 import warnings
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, open_reader
-from carla_recap.model.frame import Frame, Packet
+from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from carla_recap.model.frame import Header
 
 ROOT = Path(__file__).parents[1]
 """The folder of the repository."""

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import json
 import random
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from carla_recap import open_recording
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
 from tests.samples import CRASH, drive
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 HEADER = Header("Town01", 1_600_000_000)
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap import RecapError, Recording, convert, create_writer, open_recording
 from carla_recap.formats import open_reader
-from tests.samples import drive, write
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader, Writer
-
+from carla_recap.formats.base import Reader, Writer
 from carla_recap.model.frame import Frame, Header
+from tests.samples import drive, write
 
 CLOSED = r"drive\.(log|mcap): .*closed"
 

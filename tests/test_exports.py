@@ -6,8 +6,10 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -15,6 +17,7 @@ from click.testing import CliRunner
 from carla_recap import (
     MissingExtra,
     RecapError,
+    Recording,
     SensorRig,
     clip,
     clips,
@@ -32,12 +35,6 @@ from tests.samples import ROOT, names_in
 from tests.show.conftest import limited
 from tests.show.page.conftest import WITHOUT_ROADS
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from carla_recap import Recording
 
 CROSSING = ROOT / "samples" / "crossing.log"
 PACKAGES = {

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from itertools import accumulate
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +18,6 @@ from carla_recap.formats.carla_log import LogWriter
 from carla_recap.model.frame import Frame, Header
 from carla_recap.model.records import UE4
 from carla_recap.output.json import json as as_json
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 STEP = float(np.float32(0.05))  # a bit more than 0.05
 TIMES = list(accumulate([STEP] * 500, initial=0.0))

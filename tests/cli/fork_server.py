@@ -10,12 +10,10 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from typing import Any
 
 _LONGEST = 1 << 16  # bytes of a request
 _IMPORTED = (

@@ -8,8 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import pytest
 from click import Context
@@ -26,9 +27,6 @@ from carla_recap.queries.recorded_actors import actors
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line, wrote
 from tests.samples import images, names_in, reading, save
 from tests.waiting import PATIENCE, time_limit
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 COMMANDS = cli.list_commands(Context(cli))
 EVIL = "\x1b]0;evil\x07\x1b[31m\x9b2J"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -13,9 +13,6 @@ import carla_recap
 from carla_recap.model.records import ActorKind, Spawn
 from tests.cli.command import error, run
 from tests.sensors.cars import drive
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SHORT = ("--rate", "20", "--quality", "low")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -13,9 +13,6 @@ from carla_recap import open_recording, score
 from carla_recap.cli.score import _lines
 from tests.cli.command import answer, error, on_terminal, run, wrote
 from tests.samples import SAMPLES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CRASH, AVOIDED, ROUTES = (SAMPLES / name for name in ("crash.mcap", "avoided.mcap", "routes.xml"))
 BY_ROUTE = ("--route", ROUTES, "--route-id", "1")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,9 +12,6 @@ from carla_recap import open_recording
 from tests.cli.command import CROSSING, error, run, wrote
 from tests.samples import names_in
 from tests.sensors.cars import drive
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 pytest.importorskip("embreex", reason="the extra cameras is not installed")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +19,6 @@ pytest.importorskip("rosbags")
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 Messages = dict[str, list[tuple[int, Any]]]
 

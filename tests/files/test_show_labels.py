@@ -6,13 +6,13 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("embreex", reason="the extra `cameras` is not installed")
 
-from typing import TYPE_CHECKING
 
 from PIL import Image
 
@@ -22,9 +22,6 @@ from tests.files.readers import kitti_labels, size_of
 from tests.roads.towns import town
 from tests.samples import ROOT, carla_log
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SCRIPT = ROOT / "samples" / "show_labels.py"
 KITTI = ROOT / "samples" / "rigs" / "kitti.json"

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from carla_recap.errors import RecapWarning
 from carla_recap.fleet.answers import answers
 from carla_recap.fleet.sources import find_sources
+from carla_recap.formats.base import Reader
 from carla_recap.queries.info import info
 from tests.samples import SAMPLES
-
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
 
 
 def warned(reader: Reader) -> Any:

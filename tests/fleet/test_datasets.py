@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -10,9 +10,6 @@ import carla_recap
 from carla_recap import RecapError, SensorRig
 from carla_recap.fleet.datasets import splits_of
 from tests.sensors.cars import drive
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RIG = SensorRig.of(
     [{"type": "sensor.camera.rgb", "id": "front", "x": 2, "y": 0, "z": 1.5, "width": 64, "height": 48, "fov": 90}]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterable
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -17,9 +18,6 @@ from carla_recap.rules.reading import Key, keys_of
 from carla_recap.rules.table import CONDITIONS, PLACE_KEYS, SCOPE
 from carla_recap.sensors import SENSOR_TYPES
 from tests.samples import ROOT
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
 
 SQL_TYPES = {
     "string": "varchar",

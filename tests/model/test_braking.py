@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from random import Random
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,10 +18,7 @@ from carla_recap.model.frame import Frame
 from carla_recap.model.records import ActorKind, Spawn
 from tests.twins import braking as twin
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    Speed = Callable[[float], float]
+Speed = Callable[[float], float]
 
 TICK = 0.05
 
@@ -70,11 +67,76 @@ def test_braking_is_found_with_place_and_speed(has_velocities: bool) -> None:
     assert found.start <= time <= found.stop
 
 
+@pytest.mark.parametrize(("threshold", "count"), [(6.999, 1), (7.001, 0)])
+def test_it_is_hard_from_the_threshold_on(threshold: float, count: int) -> None:
+    assert len(detected({1: slowing(7)}, threshold).finish()) == count
+
+
+@pytest.mark.parametrize(("deceleration", "seconds", "count"), [(7, 0.45, 0), (7, 0.5, 1), (30, 0.05, 0), (30, 0.15, 1)])
+def test_it_loses_as_much_speed_as_in_three_tenths_of_a_second(deceleration: float, seconds: float, count: int) -> None:
+    """Speeds of 0.1 s before and after a moment count, too."""
+    assert len(detected({1: slowing(deceleration, seconds=seconds)}, 6.99).finish()) == count
+
+
+@pytest.mark.parametrize(("pause", "count"), [(0.6, 1), (1.5, 2)])
+def test_braking_again_within_a_second_is_one(pause: float, count: int) -> None:
+    first, second = slowing(7), slowing(7, 2.0 + pause)
+    assert len(detected({1: lambda time: first(time) + second(time)}, frames=100).finish()) == count
+
+
+def test_the_hardest_moment_is_within_the_given_time() -> None:
+    first, second = slowing(7), slowing(9, 3.0)
+    detector = detected({1: lambda time: first(time) + second(time)}, frames=100)
+    detector.finish()
+    assert detector.hardest(1, 0, 5)[0] == pytest.approx(9, abs=0.01)
+    assert detector.hardest(1, 0, 2.5)[0] == pytest.approx(7, abs=0.01)
+    deceleration, time = detector.hardest(1, 0, 5)
+    assert detector.hardest(1, time, time) == (deceleration, time)
+    assert np.isnan(detector.hardest(1, 0, 0.5)).all()
+    assert np.isnan(detector.hardest(2, 0, 5)).all()
+
+
+@pytest.mark.parametrize(
+    ("deceleration", "seconds", "is_possible"), [(34.3, 0.6, True), (34.4, 0.6, False), (36, 0.1, True), (40, 0.1, False)]
+)
+def test_tyres_have_a_limit(deceleration: float, seconds: float, is_possible: bool) -> None:
+    """Also between two frames, by a tenth more: of 40 m/s² for 0.1 s, the deceleration that is smoothed is below it."""
+    detector = detected({1: slowing(deceleration, seconds=seconds, speed=40)})
+    (found,) = detector.finish()
+    assert detector.by_tyres(found) == (found if is_possible else None)
+    assert detector.by_tyres(other := found._replace(id=2)) == other  # nothing is known of it
+
+
+@pytest.mark.parametrize(("brakes", "crash"), [(1.0, 2.0), (1.0, 2.6), (1.0, 0.5)])
+def test_braking_beside_a_stop_that_no_brakes_can_do_counts(brakes: float, crash: float) -> None:
+    """Also within a second, from its own beginning to its own end."""
+    one, other = slowing(8, brakes), slowing(60, crash, 0.1, 30)
+    detector = detected({1: lambda time: one(time) + other(time)}, frames=80)
+    (all,) = detector.finish()
+    found = detector.by_tyres(all)
+    assert found is not None
+    assert 0.9 <= found.start <= 1.1
+    assert 1.8 <= found.stop <= 2.1
+    assert found.speed == pytest.approx(one(found.start) + other(found.start), abs=0.1)
+    deceleration, time = detector.hardest(1, found.start, found.stop)
+    assert 8 <= deceleration <= 34.4
+    assert 1.0 <= time <= 2.0
+
+
 def test_a_vehicle_whose_spawn_comes_after_its_records_is_reported() -> None:
     detector = detected({1: slowing(7), 200: slowing(7)})
     assert detector.add_spawns([Spawn(1, ActorKind.VEHICLE), Spawn(5, ActorKind.VEHICLE), Spawn(200, ActorKind.WALKER)])
     assert not detector.add_spawns([Spawn(200, ActorKind.VEHICLE)])
     assert [each.id for each in detector.finish()] == [1]
+
+
+def test_frames_of_a_few_seconds_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(braking, "_BLOCK", 50)
+    detector = BrakingDetector({1}, 6.0)
+    for number in range(2000):
+        frame = Frame(number, number + 1, number * TICK, TICK, []).replace(transforms=[(1, *6 * [0.0])])
+        detector.batch(Batch.of(frame))
+        assert len(detector._elapsed) <= 2 * (50 + 50 + 50)
 
 
 def drives(choose: Random, count: int, tick: float) -> list[Frame]:

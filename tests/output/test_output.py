@@ -5,7 +5,7 @@ import json as stdlib
 import re
 from dataclasses import asdict
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import pytest
 from rich.console import Console
@@ -24,9 +24,7 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.info import info
 from carla_recap.queries.summary import summary
 from carla_recap.recording import open_recording
-
-if TYPE_CHECKING:
-    from tests.queries.conftest import Make
+from tests.queries.conftest import Make
 
 NAN = float("nan")
 EVIL = "[red]\x1b[31m\x07\x9b5A\u202egnp.exe\r\n\u2028[/nothing]"

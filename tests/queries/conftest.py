@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carla_recap.editing.convert import convert
 from carla_recap.formats import create_writer, open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import FRAME_END
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader
-
-    Records = Mapping[str, Any]
-    Make = Callable[..., Reader]
+Records = Mapping[str, Any]
+Make = Callable[..., Reader]
 
 TICK = 0.5
 HEADER = Header("Town01", 1_600_000_000)

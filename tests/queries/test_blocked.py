@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +14,8 @@ from carla_recap.model.records import Spawn
 from carla_recap.output.text import text
 from carla_recap.queries.blocked import BlockedRow, blocked
 from carla_recap.queries.incidents import IncidentOptions, incidents
+from tests.queries.conftest import Make
 from tests.twins.stationary import stationary
-
-if TYPE_CHECKING:
-    from tests.queries.conftest import Make
 
 
 def spawn(id: int, type_id: str = "vehicle.a") -> Spawn:

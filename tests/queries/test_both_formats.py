@@ -6,15 +6,16 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from carla_recap import FormatError, RecapError, convert, open_recording
+from carla_recap import FormatError, RecapError, Recording, convert, open_recording
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
 from carla_recap.output import differences, json, text
@@ -28,12 +29,6 @@ from tests.queries.measures.traffic import LIGHT, traffic
 from tests.roads.straight_road import STRAIGHT_ROAD
 from tests.samples import warnings_ignored, write
 from tests.strategies import recordings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from carla_recap import Recording
 
 EXAMPLES: Final = int(os.environ.get("TWIN_EXAMPLES", "30"))
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from carla_recap.errors import RecapError
@@ -9,9 +7,7 @@ from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.output.text import text
 from carla_recap.queries.collisions import CollisionRow, collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
-
-if TYPE_CHECKING:
-    from tests.queries.conftest import Make
+from tests.queries.conftest import Make
 
 
 def spawn(id: int, kind: int, type_id: str) -> Spawn:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 
 from carla_recap.editing.convert import convert
 from carla_recap.errors import RecapError
+from carla_recap.formats.base import PartName, Reader
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model.frame import Frame, Header
 from carla_recap.model.records import NO_ACTOR, Spawn
@@ -19,16 +22,9 @@ from carla_recap.queries import contacts as contacts_module
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests import strategies
-from tests.queries.conftest import write
+from tests.queries.conftest import Make, write
 from tests.samples import CARLA_LOGS, RANDOM_LOGS, reading, warnings_ignored
 from tests.samples import write as write_frames
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from carla_recap.formats.base import PartName, Reader
-    from tests.queries.conftest import Make
 
 CAST = [Spawn(1, 1, type_id="vehicle.a"), Spawn(2, 2, type_id="walker.b"), Spawn(3, 3, type_id="traffic.traffic_light")]
 HIT = {"collisions": [(0, 1, 2, 0, 0)]}

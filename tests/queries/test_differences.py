@@ -1,25 +1,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carla_recap import convert, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer
+from carla_recap.formats.base import Reader
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import FRAME_END, UE4, Spawn, attributes
-from carla_recap.queries.differences import differences
+from carla_recap.queries.differences import Differences, differences
 from tests.samples import SAMPLES, carla_log, reading
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader
-    from carla_recap.queries.differences import Differences
 
 CRASH, JUNCTION = SAMPLES / "crash.mcap", SAMPLES / "junction.mcap"
 HEADER = Header("Town01", 1_600_000_000)

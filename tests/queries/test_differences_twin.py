@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,9 +20,6 @@ from carla_recap.queries.differences import differences
 from carla_recap.queries.matching import match
 from tests.samples import reading
 from tests.twins.differences import Drive, actor_differs, light, paths
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 TYPES = ("spawned", "destroyed", "transforms", "light_states")
 ACTORS, LIVES = 3, 2

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import gzip
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from carla_recap.errors import NotARecording
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.output.text import text
 from carla_recap.queries.blocked import Blocked, blocked
 from carla_recap.queries.collisions import Collisions, collisions
 from carla_recap.queries.info import Info, info
 from tests.samples import CARLA_LOGS, RANDOM_LOGS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader
 
 FOLDERS = (CARLA_LOGS, RANDOM_LOGS)
 NO_RECORDINGS = ("magic_bad", "not_a_log", "zero_bytes")

@@ -3,13 +3,16 @@ from __future__ import annotations
 import json as stdlib
 import math
 import re
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.formats.base import Reader
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
@@ -19,16 +22,9 @@ from carla_recap.output.text import text
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.tables import column_names
-from tests.queries.conftest import TICK, write
+from tests.queries.conftest import TICK, Make, write
 from tests.queries.measures.conftest import record, straight
 from tests.samples import CROSSING, carla_log, reading
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader
-    from tests.queries.conftest import Make
 
 RATE = 20.0
 

@@ -1,21 +1,18 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from itertools import islice
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import pytest
 
+from carla_recap.formats.base import Reader
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.records import UE4, Attribute, Bone, Bones, Spawn
 from carla_recap.output.text import text
 from carla_recap.queries.info import InfoRow, info
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from carla_recap.formats.base import Reader
-    from tests.queries.conftest import Make
+from tests.queries.conftest import Make
 
 HEAD = "Version: 1\nMap: Town01\nDate: 09/13/20 12:26:40\n\n"
 HERO = Spawn(7, 1, 1.5, -2, 3, 0, 0, 90, 26, "vehicle.audi.tt", [Attribute(3, "role_name", "hero")])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from click import Context
@@ -21,10 +23,6 @@ from carla_recap.rules.rule_sets import check, parse_rules
 from carla_recap.show.page import write_report
 from carla_recap.show.page.script import kind_data
 from tests.samples import CRASH
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-    from pathlib import Path
 
 
 class FastDetector(Detector):

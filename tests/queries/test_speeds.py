@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from carla_recap import ActorKind, Spawn, attributes, create_recording, open_recording
 from tests.roads.straight_road import STRAIGHT_ROAD
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TICK = 0.05
 JUMP = 40  # the frame before which the car jumps by 100 m

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import Camera, ImageKind
@@ -15,12 +17,6 @@ from carla_recap.replay.pose import right_handed, rotations
 from carla_recap.scene.instances import Instances
 from carla_recap.scene.materials import Material, Tag
 from carla_recap.scene.mesh import Mesh
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
 
 ALL = tuple(ImageKind)
 RGB, DEPTH, SEMANTIC, INSTANCE, NORMALS, FLOW = ALL

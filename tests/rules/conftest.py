@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
 from textwrap import dedent
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
-from carla_recap import ActorKind, Spawn, attributes, check, create_recording, open_recording
+from carla_recap import ActorKind, Spawn, Verdict, attributes, check, create_recording, open_recording
 from carla_recap.rules.rule_sets import parse_rules
 from tests.roads.straight_road import STRAIGHT_ROAD
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import ArrayLike
-
-    from carla_recap import Verdict
 
 TICK: Final = 0.1
 HERO: Final = 1

@@ -5,23 +5,18 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from pathlib import Path
 from textwrap import dedent
-from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap import check, load_rules, open_recording
+from carla_recap import Verdict, check, load_rules, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.sources import find_sources
 from carla_recap.rules.rule_sets import RulesError
 from tests.cli.command import run
 from tests.samples import SAMPLES, save
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from carla_recap import Verdict
 
 FUNCTIONS = """
 from __future__ import annotations

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from carla_recap import Spawn, attributes, check, create_recording, open_recording
+from carla_recap import Spawn, Verdict, attributes, check, create_recording, open_recording
 from carla_recap.queries.measures import MEASURES, MeasureSearch
 from carla_recap.queries.roads import roads_of
 from carla_recap.rules.rule_sets import parse_rules
 from carla_recap.rules.values import Selector
 from tests.rules.conftest import HERO, TICK, Judge, straight, write
 from tests.samples import SAMPLES
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from carla_recap import Verdict
 
 PAIRED = [measure.name for measure in MEASURES.values() if measure.other] + ["post_encroachment_time"]
 """The measures in relation to another actor."""

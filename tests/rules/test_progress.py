@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +11,6 @@ from carla_recap import ActorKind, RecapWarning, Spawn, attributes, create_recor
 from carla_recap.rules.rule_sets import check, make_rules, parse_rules
 from tests.rules.conftest import HERO, Judge, straight
 from tests.samples import SAMPLES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DRIVE = straight(10, 12)
 

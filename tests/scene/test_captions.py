@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from carla_recap import Player, open_recording
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.scene.captions import EventText, Line
 from tests.replay.scripts import pose, spawn, write
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def lines(path: Path, frames: list[dict[str, Any]], tick: float = 0.1) -> list[tuple[float, Line]]:

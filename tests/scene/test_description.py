@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +11,6 @@ import pytest
 from carla_recap import Player, open_recording
 from carla_recap.scene.description import SceneDescriber, SceneDescription
 from tests.replay.scripts import pose, spawn, write
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CAR, SENSOR, BIN, MOUNTED = 1, 2, 3, 4
 

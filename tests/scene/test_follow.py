@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,6 @@ from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import FollowedActor, FollowedSeries, LiveFollow, followed_series
 from tests.replay.scripts import light, pose, spawn, velocity, write
 from tests.show.video.conftest import SAMPLES
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def series(folder: Path, frames: list[dict[str, Any]], tick: float = 0.1) -> FollowedSeries:

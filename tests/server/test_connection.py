@@ -18,7 +18,7 @@ from carla_recap.server.rpc import connection as connections
 from carla_recap.server.rpc.codec import EncodedText
 from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool, connection_limit
 from carla_recap.server.rpc.registry import unregistered_call
-from carla_recap.server.rpc.structs import VehicleLightState  # noqa: TC001  (calls read annotations)
+from carla_recap.server.rpc.structs import VehicleLightState
 from tests.server.inside import Transport
 
 if TYPE_CHECKING:

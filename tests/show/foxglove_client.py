@@ -6,9 +6,10 @@ import asyncio
 import json
 import struct
 from base64 import b64decode
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from mcap_protobuf.decoder import DecoderFactory
 from tornado.websocket import websocket_connect
@@ -16,10 +17,7 @@ from tornado.websocket import websocket_connect
 from carla_recap.show.foxglove.topics import TOPICS
 from tests.waiting import PATIENCE
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    State = tuple[int, int, float, str]
+State = tuple[int, int, float, str]
 
 
 _PAUSE: Final = 0.05  # s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +13,6 @@ from mcap.reader import make_reader
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
 from mcap_protobuf.decoder import DecoderFactory
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 BODIES = ("/scene/vehicles", "/scene/walkers", "/scene/others")
 

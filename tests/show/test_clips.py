@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,9 +15,6 @@ from carla_recap.roads import RoadMap
 from carla_recap.show import rrd
 from carla_recap.show.clips import IncidentClip, clips
 from tests.samples import CROSSING, images, names_in, save
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import math
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,13 +25,8 @@ from tests.samples import ROOT, carla_log
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
 
-from typing import TYPE_CHECKING
-
 from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, panels, read, seen, xyz
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CROSSING = ROOT / "samples" / "crossing.log"
 NODE = ROOT / "tests" / "node"

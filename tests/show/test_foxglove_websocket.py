@@ -9,11 +9,12 @@ import struct
 import subprocess
 import sys
 from base64 import b64decode
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from socket import create_connection
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import pytest
 from click.testing import CliRunner
@@ -34,9 +35,6 @@ from mcap.reader import make_reader
 from carla_recap.show.foxglove.topics import TOPICS
 from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView, Timeline
 from tests.show.foxglove_client import Viewer, connected, decoded
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 ROOT: Final = Path(__file__).parents[2]
 CROSSING: Final = ROOT / "samples" / "crossing.log"

@@ -8,9 +8,9 @@ import signal
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -25,9 +25,6 @@ from tests.samples import log_header, save
 from tests.screenshots import ScreenshotTaker
 from tests.show.conftest import SAMPLE
 from tests.waiting import PATIENCE, time_limit
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 NAME = "rerun-importer-carla-recap"
 RUN = "import sys; from carla_recap.show.importer import main; main()"

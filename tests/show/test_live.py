@@ -5,13 +5,16 @@ from __future__ import annotations
 import gc
 import os
 import tracemalloc
+from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import psutil
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.model.frame import Frame, Header
 from tests.replay.scripts import pose, spawn, write
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
@@ -24,12 +27,6 @@ from carla_recap.show.foxglove.messages import SceneUpdate
 from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
 from carla_recap.show.rerun import LiveView, bodies, live_blueprint
 from carla_recap.show.rerun.sinks import Rrd, piped
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from carla_recap.model.frame import Frame, Header
 
 ACTORS: Final = int(os.environ.get("COMING_AND_GOING", "160"))
 """The number of actors that come and go."""

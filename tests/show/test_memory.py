@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import tracemalloc
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
 
 import pytest
 
-from carla_recap import clip, open_recording
+from carla_recap import Recording, clip, open_recording
 from carla_recap.scene.follow import followed_series
 from tests.replay.scripts import pose, spawn, write
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
 
 from carla_recap.show.foxglove.websocket import _PlayedRecording
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from carla_recap import Recording
 
 ACTORS: Final = 40
 SHORT, LONG = 3500, 6000  # frames, both above those of a table of near misses

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import struct
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,10 +19,6 @@ from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from tests.scene.glb import boxes, color, glb, square
 from tests.show.conftest import SAMPLE
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 MAGENTA = (255, 0, 255)
 CAR = boxes(

@@ -6,7 +6,8 @@ import json
 import shutil
 import subprocess
 from collections import defaultdict
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,9 +50,6 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from carla_recap.sensors.messages import SensorMessages
 from tests.samples import ROOT
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CRASH = ROOT / "samples" / "crash.mcap"
 NODE = ROOT / "tests" / "node"

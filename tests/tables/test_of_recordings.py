@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carla_recap import FormatError, RecapError, RecordError, create_recording, open_recording
+from carla_recap import FormatError, RecapError, RecordError, Recording, create_recording, open_recording
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import Many
@@ -35,11 +36,6 @@ from tests.samples import (
     warnings_ignored,
     write,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from carla_recap import Recording
 
 both_formats = pytest.mark.parametrize("suffix", [".log", ".mcap"])
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,9 +23,6 @@ from carla_recap.util import cache
 from tests.roads.towns import crossing, crossing_by_road, lane, opendrive, painted_stop, road, stop_sign
 from tests.roads.towns import section as plain_section
 from tests.roads.towns import town as carla_town
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def section(s: float, left: str = "", right: str = "", centre: str = "none") -> str:

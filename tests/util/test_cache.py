@@ -6,17 +6,14 @@ import os
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapWarning
 from carla_recap.util import cache
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DATA = b"a town"
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import textwrap
 from errno import EINVAL, EIO, ENOSYS, EPERM
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -15,9 +15,6 @@ from carla_recap import Header, RecapError, create_recording, create_writer
 from carla_recap.util import files
 from carla_recap.util.files import WholeFile, check_folder, new_folder, partials
 from tests.samples import names_in
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:

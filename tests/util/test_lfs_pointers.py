@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,11 +12,6 @@ from carla_recap import RecapError, SensorRig, import_tracks, load_rules, open_r
 from carla_recap.metrics.running import _criteria
 from carla_recap.queries.score.route_files import read_routes
 from carla_recap.roads import load_map
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-    from typing import Any
 
 POINTER = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 12345\n"
 

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.model.records import Spawn, attributes
 from tests.queries.conftest import write
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader
-
-    Drive = Callable[..., Reader]
+Drive = Callable[..., Reader]
 
 RATE = 20.0
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,6 @@ from carla_recap import open_recording
 from carla_recap.queries.measures.drives import COMFORT, comfort, comfort_values
 from carla_recap.queries.score import ABILITIES, Infraction, Route, Score, abilities, bench2drive
 from tests.queries.score.drives import HERO, OTHER, ROUTE, Drives, at_speed, vehicle, westward
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture

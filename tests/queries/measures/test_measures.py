@@ -3,25 +3,29 @@ from __future__ import annotations
 import math
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.output.json import json
 from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, motion_table, pairs, time_series
-from tests.queries.measures.conftest import Mover, straight
+from carla_recap.queries.measures import (
+    Measures,
+    MeasureSearch,
+    measures,
+    measures_over_time,
+    motion_table,
+    pairs,
+    time_series,
+)
+from tests.queries.measures.conftest import Drive, Mover, straight
 from tests.samples import CRASH
-
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures import Measures
-    from tests.queries.measures.conftest import Drive
 
 
 def of(found: Measures, actor: int = 1) -> dict[str, Any]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapWarning
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame
 from carla_recap.model.lives import ActorLife
@@ -18,14 +18,9 @@ from carla_recap.model.motion import MOTION
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import motion_table
-from carla_recap.queries.measures.motion_table import MotionCollector
+from carla_recap.queries.measures.motion_table import MotionCollector, MotionTable
 from carla_recap.queries.recorded_actors import actors
-from tests.queries.measures.conftest import Mover, straight
-
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.motion_table import MotionTable
-    from tests.queries.measures.conftest import Drive
+from tests.queries.measures.conftest import Drive, Mover, straight
 
 
 def tables_of(reader: Reader, **margins: float) -> list[MotionTable]:

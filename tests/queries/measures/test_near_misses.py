@@ -1,24 +1,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
+from carla_recap.formats.base import Reader
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.motion import MOTION
 from carla_recap.model.records import Spawn
+from carla_recap.queries.measures.encroachment import Encounter
 from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.measures.pairs import paths_meet
 from carla_recap.queries.recorded_actors import lives_and_contacts
-from tests.queries.measures.conftest import Mover, straight
-
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.encroachment import Encounter
-    from tests.queries.measures.conftest import Drive
+from tests.queries.measures.conftest import Drive, Mover, straight
 
 
 def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[Encounter]:

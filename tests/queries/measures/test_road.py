@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.model.frame import Header
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.measures.definitions import MeasureValues
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
 from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.roads.network import LIGHT as LIGHT_KIND
+from carla_recap.roads.network import RoadNetwork
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network
 from carla_recap.sim import VehicleControl, World
 from carla_recap.sim.scenarios import spawn_on_lane
@@ -28,19 +35,8 @@ from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 from tests.roads.towns import town
 from tests.samples import SAMPLES, carla_log
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from carla_recap.formats.base import Reader
-    from carla_recap.model.lives import ActorLife
-    from carla_recap.queries.measures.definitions import MeasureValues
-    from carla_recap.roads.network import RoadNetwork
-
-    Floats = NDArray[np.float64]
-    Pose = tuple[float, float, float]
+Floats = NDArray[np.float64]
+Pose = tuple[float, float, float]
 
 TICK: Final = 0.05
 RED, YELLOW, GREEN = 0, 1, 2

@@ -6,7 +6,7 @@ import math
 import os
 from collections import defaultdict
 from contextlib import closing
-from typing import TYPE_CHECKING
+from pathlib import Path
 from unittest.mock import patch
 
 import pytest
@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import Reader
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import MOTION
 from carla_recap.queries.incidents import IncidentOptions, incidents
@@ -25,11 +26,6 @@ from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.traffic import traffic
 from tests.twins.encounters import Twin
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from carla_recap.formats.base import Reader
 
 OTHERS = ("nearest", "threat", "leader")
 EXAMPLES = int(os.environ.get("TWIN_EXAMPLES", "10"))

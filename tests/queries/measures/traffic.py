@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from carla_recap.model.records import Spawn, attributes
 from tests.queries.conftest import write
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 LIGHT: Final = 90
 """The id of a traffic light."""

@@ -5,21 +5,17 @@ The road leads to the west, at y = 1.75; the route, from x = 255 to x = 155, is 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from carla_recap.formats import open_reader
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
-from carla_recap.queries.score import Route, ScoreOptions, score
+from carla_recap.queries.score import Route, Score, ScoreOptions, score
 from tests.queries.conftest import write
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from carla_recap.queries.score import Score
 
 TICK: Final = 0.05
 HERO, OTHER = 7, 8

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from contextlib import closing
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,15 +20,9 @@ from carla_recap.model.records import Spawn
 from carla_recap.queries.score import Route, Score, ScoreOptions, score
 from carla_recap.roads import find_road_network
 from carla_recap.roads import network as roads
+from carla_recap.roads.network import RoadNetwork
 from tests.queries.conftest import write
-from tests.queries.score.drives import END, OTHER, ROUTE, START, TICK, Drives, Y, at_speed, vehicle, westward
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from carla_recap.roads.network import RoadNetwork
-    from tests.queries.score.drives import Pose
+from tests.queries.score.drives import END, OTHER, ROUTE, START, TICK, Drives, Pose, Y, at_speed, vehicle, westward
 
 WALKER = Spawn(OTHER, 2, type_id="walker.pedestrian.0001")
 WHOLE = westward(at_speed(10.0, 105.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -13,9 +13,6 @@ from carla_recap.formats import open_reader
 from carla_recap.queries.score import read_routes, route_for
 from carla_recap.queries.score.route_files import repetition
 from tests.samples import CRASH
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def position(x: object, y: object = 0.0, z: object = 0.0) -> str:

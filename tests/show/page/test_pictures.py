@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -12,10 +12,6 @@ from carla_recap import RecapError
 from carla_recap.show.page import report as module
 from tests.replay.scripts import spawn
 from tests.show.page.conftest import data, record, report
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 image = pytest.importorskip("PIL.Image", reason="the extra cameras is not installed")
 pytest.importorskip("moderngl", reason="the extra cameras is not installed")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,9 +13,6 @@ from carla_recap.show.page import Opening, samples, write_report
 from carla_recap.town.mesh import load_town_of
 from tests.replay.scripts import pose, spawn
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_the_summary_is_that_of_the_recording(crossing_page: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,6 @@ from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data
 from tests.replay.scripts import pose, spawn
 from tests.show.page.conftest import CROSSING, record, sampled, unpack
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:

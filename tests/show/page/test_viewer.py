@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -13,9 +13,6 @@ from tests.browser import browser
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, data, report
 from tests.waiting import wait_until
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 

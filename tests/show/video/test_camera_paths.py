@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
+from carla_recap.scene.instances import Instances
 from carla_recap.show.video.camera_paths import Subject, Transparency, camera_path, camera_size, covered_by, pixels_per_metre
 from tests.rendering.shapes import boxes
-
-if TYPE_CHECKING:
-    from carla_recap.scene.instances import Instances
 
 SIZE = (1280, 720)
 CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)
