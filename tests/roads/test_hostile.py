@@ -27,7 +27,7 @@ LOADER = """
 import json, os, resource, sys
 from pathlib import Path
 from carla_recap import RecapError
-from carla_recap.server.lights_ahead import LightsAhead
+from carla_recap.server.snapshots import LightsAhead
 from carla_recap.town.mesh import load_town_mesh
 from carla_recap.roads import load_map, load_road_network
 from carla_recap.sim.town.loading import load_town

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from carla_recap.server.lights_ahead import NO_LIGHT, LightsAhead
+from carla_recap.server.snapshots import NO_LIGHT, LightsAhead
 from tests.sim.flat import LENGTH, flat_town, lane, light
 
 

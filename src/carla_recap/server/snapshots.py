@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import struct
 import time
+from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.lights_ahead import NO_LIGHT, LightsAhead
 from carla_recap.server.protocol.releases import WORLD
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.episode import transforms
 from carla_recap.sim.signals import GREEN
+from carla_recap.sim.town.junctions import SignalKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
+    from carla_recap.util.arrays import Floats, Integers
 
 _NUMBER: Final = struct.Struct("<Q")
 # sensor type, frame, elapsed seconds, transform
@@ -39,6 +41,8 @@ _ACTIVE: Final = 1
 _SIZE: Final = 119
 _BASE: Final = [("id", "<u4"), ("activity", "u1"), ("numbers", "<(15,)f4")]
 _KM_PER_H: Final = 3.6
+_REACH: Final = 12.0  # m before a stop line where a vehicle is at its light: enough to stop comfortably at 40 km/h
+NO_LIGHT: Final = -1
 _FAR: Final = 3.0  # m: once a vehicle has moved as far, all are assigned to lanes anew before the next snapshot
 
 
@@ -163,6 +167,30 @@ class SnapshotEncoder:
             rows["at_light"] = self._light != NO_LIGHT
             rows["light"] = self._light_ids[self._light]
         rows["shown"] = np.append(self._world.signals.state, GREEN)[self._light]
+
+
+class LightsAhead:
+    """The stretches before the stop lines of traffic lights."""
+
+    def __init__(self, town: Town) -> None:
+        stretches: set[tuple[int, float, float, int]] = set()
+        lights = (signal for signal in town.signals if signal.kind is SignalKind.LIGHT)
+        remaining = [(lane, stop, _REACH, row) for row, light in enumerate(lights) for lane, stop in light.stops]
+        for lane, end, reach, row in remaining:  # grows
+            stretch = lane, end - reach, end, row
+            if end < reach and stretch not in stretches:
+                before = [other for other in town.lanes[lane].predecessors if town.lanes[other].junction is None]
+                remaining += [(other, town.lanes[other].length, reach - end, row) for other in before]
+            stretches.add(stretch)
+        self._stretches: defaultdict[int, list[tuple[float, float, int]]] = defaultdict(list)
+        for lane, begin, end, row in sorted(stretches, key=lambda stretch: (stretch[1], -stretch[3])):  # nearest lines first
+            self._stretches[lane].append((begin, end, row))
+
+    def at(self, lane: Integers, s: Floats) -> Integers:
+        """Return the rows of the lights ahead of places at some distances along lanes in m, (n,); `NO_LIGHT` for none."""
+        places = zip(lane.tolist(), s.tolist(), strict=True)
+        rows = [next((row for begin, end, row in self._stretches[on] if begin <= at <= end), NO_LIGHT) for on, at in places]
+        return np.array(rows, np.int64)
 
 
 class LaneTracker:

@@ -1,11 +1,4 @@
-"""The errors of the simulator.
-
-SimError
-├── SpawnError        an actor cannot be spawned: its blueprint is unknown, or its place occupied
-├── DeadActor         an actor was used after it had been destroyed
-├── DestinationError  a recording cannot be written to its destination
-└── MapMissing        the map of a recording is unavailable
-"""
+"""The errors of the simulator."""
 
 from __future__ import annotations
 

@@ -156,13 +156,9 @@ class World:
     def spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor:
-        """Spawn an actor.
+        """Spawn an actor of a blueprint, or of its name, with attributes that differ from its own: `role_name="hero"`.
 
-        Args:
-            blueprint: The blueprint, or its name.
-            transform: The transform in the world; relative to the parent, if there is one.
-            parent: The actor that it is attached to.
-            **attributes: Attributes that differ from those of the blueprint, such as `role_name="hero"`.
+        The transform is that in the world; relative to the parent that it is attached to, if there is one.
 
         Raises:
             SpawnError: There is no such blueprint or attribute, or the place is occupied.
@@ -215,10 +211,8 @@ class World:
     ) -> Replay:
         """Replay a recording, whose suffix may be missing; see `Replayer.open`, and `Replayer.begin` for the last options.
 
-        A running recorder stops, as in CARLA. To record the replay, start the recorder between this call and the next tick.
-
-        Warns:
-            RecapWarning: A recorder was running; see `Replayer.begin` for others.
+        A running recorder stops with a warning, as in CARLA: to record the replay, start one between this call and the next
+        tick.
         """
         if self.recorder.path is not None:
             reason = "a replay begins, which stops the recorder; start it after replay_file to record the replay"
@@ -246,16 +240,9 @@ class World:
     # --- time ---------------------------------------------------------------------------------------------------------
 
     def tick(self, delta: float | None = None) -> int:
-        """Simulate a tick: controllers act, lights change, actors move, and listeners are called.
+        """Simulate a tick: controllers act, lights change, actors move, and listeners are called; return its number, from 1.
 
-        Args:
-            delta: The length of the tick in s; by default that of the settings.
-
-        Returns:
-            The number of the tick, from 1.
-
-        Raises:
-            SimError: The length is not above 0, or more than 10 s.
+        Its length in s is by default that of the settings; `SimError`: it is not above 0, or more than 10 s.
         """
         if delta is None:
             delta = self.settings.fixed_delta_seconds or _DELTA
@@ -283,25 +270,16 @@ class World:
             self.on_error(actor, error)
 
     def run(self, seconds: float) -> None:
-        """Tick for some simulated time.
-
-        Raises:
-            SimError: The time is negative or infinite.
-        """
+        """Tick for some simulated time in s; `SimError`: it is negative or infinite."""
         if not 0 <= seconds < np.inf:
             raise SimError(f"run: 0 s or more was expected, found {seconds:g} s")
         for _ in range(ceil(seconds / (self.settings.fixed_delta_seconds or _DELTA) - _ROUNDING)):
             self.tick()
 
     def run_realtime(self, seconds: float, factor: float = 1.0) -> None:
-        """Tick in real time.
+        """Tick in real time for some simulated time in s, which passes faster by a factor; ticks that are late follow.
 
-        Args:
-            seconds: The simulated time.
-            factor: The simulated time per real time; ticks that are late are not skipped.
-
-        Raises:
-            SimError: The time is negative, or the factor not above 0.
+        `SimError`: The time is negative, or the factor not above 0.
         """
         if not (seconds >= 0 and factor > 0):
             expected = "0 s or more, and a factor above 0"
@@ -312,13 +290,9 @@ class World:
             self.tick()
 
     def reload(self, town: Town | str | Path | None = None) -> None:
-        """Begin a new episode, without the actors of the present one, at time 0.
+        """Begin a new episode, at time 0 and without the present actors, in a town, by default the same.
 
-        Args:
-            town: The town, or its name or file; by default the same.
-
-        Raises:
-            RecapError: There is no such town; the episode goes on.
+        `RecapError`: There is no such town; the episode goes on.
         """
         town = self.town if town is None else self._load(town)
         self.close()

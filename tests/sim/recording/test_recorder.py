@@ -33,7 +33,7 @@ from carla_recap.sim.episode import Collision
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder
-from carla_recap.sim.recording.writer_process import WriterProcess
+from carla_recap.sim.recording.writer_process import RecordingWriter
 from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car, spawn_walker
@@ -363,13 +363,13 @@ def test_any_other_suffix_records_the_format_of_carla_under_that_very_name(tmp_p
 def handed_over(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The commands that processes that write have carried out."""
     done: list[str] = []
-    carry_out = WriterProcess._command
+    carry_out = RecordingWriter._command
 
-    def counted(self: WriterProcess, name: str, *arguments: Any) -> None:
+    def counted(self: RecordingWriter, name: str, *arguments: Any) -> None:
         carry_out(self, name, *arguments)
         done.append(name)
 
-    monkeypatch.setattr(WriterProcess, "_command", counted)
+    monkeypatch.setattr(RecordingWriter, "_command", counted)
     return done
 
 
@@ -480,12 +480,12 @@ _SCRIPT = """
     world.run(12.0)
 """
 _COUNTING = """
-    from carla_recap.sim.recording.writer_process import WriterProcess
-    handed_over, command = [], WriterProcess._command
+    from carla_recap.sim.recording.writer_process import RecordingWriter
+    handed_over, command = [], RecordingWriter._command
     def counted(self, name, *arguments):
         command(self, name, *arguments)
         handed_over.extend([name] * (name == "write"))
-    WriterProcess._command = counted
+    RecordingWriter._command = counted
 """
 
 

@@ -52,34 +52,23 @@ class DriveTables(StructOfArrays):
     wheels: Floats = column(np.zeros((len(WHEEL), CORNERS)))
     """The parameters `WHEEL` of each corner: places from the centre of mass in m, radius in m, moment of inertia in kg m²,
     damping in kg m²/s, friction times load in N, stiffness in N sideways and lengthwise, torques of the brakes in N m."""
-    centre: Floats = column(0.0)
-    """How far the centre of mass is ahead of the origin, in m."""
-    full_lock: Floats = column(0.0)
-    """The greatest angle of the inner front wheel in radians."""
-    track: Floats = column(1.0)
-    """The distance between left and right wheels in m."""
+    centre: Floats = column(0.0)  # how far the centre of mass is ahead of the origin, in m
+    full_lock: Floats = column(0.0)  # the greatest angle of the inner front wheel in radians
+    track: Floats = column(1.0)  # the distance between left and right wheels in m
     torques: Complexes = column(np.zeros(TORQUES + 1, np.complex128))
     """The torque of the engine in N m, from no revolutions to the most; as the imaginary part, its growth to the next."""
-    most_turns: Floats = column(0.0)
-    """The most revolutions of the engine in rad/s."""
-    engine_inertia: Floats = column(1.0)
-    """The moment of inertia of the engine in kg m²."""
+    most_turns: Floats = column(0.0)  # the most revolutions of the engine in rad/s
+    engine_inertia: Floats = column(1.0)  # the moment of inertia of the engine in kg m²
     damping: Floats = column(np.zeros(3))
     """The damping of the engine in kg m²/s: at full throttle, and without throttle in a gear and in neutral."""
-    clutch: Floats = column(0.0)
-    """The strength of the clutch in kg m²/s."""
-    ratios: Floats = column(np.zeros(GEARS))
-    """Engine by wheels, by gear; 0 in neutral, negative in reverse."""
-    up: Floats = column(np.zeros(GEARS))
-    """The share of the most revolutions above which the gearbox shifts up, by gear."""
-    down: Floats = column(np.zeros(GEARS))
-    """The share of the most revolutions below which it shifts down, by gear."""
-    switch_time: Floats = column(0.0)
-    """How long it is in neutral when it shifts, in s."""
+    clutch: Floats = column(0.0)  # the strength of the clutch in kg m²/s
+    ratios: Floats = column(np.zeros(GEARS))  # engine by wheels, by gear; 0 in neutral, negative in reverse
+    up: Floats = column(np.zeros(GEARS))  # the share of the most revolutions above which the gearbox shifts up, by gear
+    down: Floats = column(np.zeros(GEARS))  # the share of the most revolutions below which it shifts down, by gear
+    switch_time: Floats = column(0.0)  # how long it is in neutral when it shifts, in s
     latency: Floats = column(0.0)
     """The least time between two shifts in s; infinite for a gearbox that does not shift by itself."""
-    lock_share: Floats = column(np.zeros(len(SPEEDS)))
-    """The share of the full lock that steering reaches, by speed."""
+    lock_share: Floats = column(np.zeros(len(SPEEDS)))  # the share of the full lock that steering reaches, by speed
 
     def __init__(self) -> None:
         super().__init__()
@@ -115,58 +104,33 @@ class DriveTables(StructOfArrays):
 class Drivetrains(MovingBodies):
     """The controls of vehicles, and what moves in them; row i of each array belongs to `actors[i]`."""
 
-    throttle: Floats = column(0.0)
-    """The throttle, 0 to 1."""
-    steer: Floats = column(0.0)
-    """The steering, -1 (left) to 1 (right), relative to `steer_limit`."""
-    brake: Floats = column(0.0)
-    """The brake, 0 to 1."""
-    hand_brake: Booleans = column(False)
-    """Whether the hand brake is drawn."""
-    throttle_input: Floats = column(0.0)
-    """The throttle that has reached the engine: inputs take their time."""
-    steer_input: Floats = column(0.0)
-    """The steering that has reached the wheels."""
-    brake_input: Floats = column(0.0)
-    """The brake that has reached the wheels."""
-    reverse: Booleans = column(False)
-    """Whether the throttle drives backwards."""
-    gear: Integers = column(np.int64(0))
-    """The gear: from 1, 0 neutral, -1 reverse."""
-    target_gear: Integers = column(np.int64(0))
-    """The gear that the gearbox shifts to."""
-    shift_time: Floats = column(0.0)
-    """How long it has been shifting, in s."""
-    since_shift: Floats = column(inf)
-    """The time since the gearbox began to shift by itself, in s."""
-    engine: Floats = column(0.0)
-    """The speed of the engine in rad/s."""
-    omega: Floats = column(np.zeros(CORNERS))
-    """The speeds of the wheels in rad/s, (n, corners)."""
-    slow_time: Floats = column(0.0)
-    """How long it has hardly been moving, in s."""
-    manual: Booleans = column(False)
-    """Whether `gear` is part of the control; else the gearbox is automatic."""
-    speed: Floats = column(0.0)
-    """The speed forward in m/s; negative backwards."""
-    sideways: Floats = column(0.0)
-    """The speed to the right, in m/s."""
-    turning: Floats = column(0.0)
-    """The yaw rate in rad/s, positive to the right."""
-    steer_angle: Floats = column(0.0)
-    """The angle between those of the front wheels in radians, positive to the right."""
+    throttle: Floats = column(0.0)  # the throttle, 0 to 1
+    steer: Floats = column(0.0)  # the steering, -1 (left) to 1 (right), relative to `steer_limit`
+    brake: Floats = column(0.0)  # the brake, 0 to 1
+    hand_brake: Booleans = column(False)  # whether the hand brake is drawn
+    throttle_input: Floats = column(0.0)  # the throttle that has reached the engine: inputs take their time
+    steer_input: Floats = column(0.0)  # the steering that has reached the wheels
+    brake_input: Floats = column(0.0)  # the brake that has reached the wheels
+    reverse: Booleans = column(False)  # whether the throttle drives backwards
+    gear: Integers = column(np.int64(0))  # the gear: from 1, 0 neutral, -1 reverse
+    target_gear: Integers = column(np.int64(0))  # the gear that the gearbox shifts to
+    shift_time: Floats = column(0.0)  # how long it has been shifting, in s
+    since_shift: Floats = column(inf)  # the time since the gearbox began to shift by itself, in s
+    engine: Floats = column(0.0)  # the speed of the engine in rad/s
+    omega: Floats = column(np.zeros(CORNERS))  # the speeds of the wheels in rad/s, (n, corners)
+    slow_time: Floats = column(0.0)  # how long it has hardly been moving, in s
+    manual: Booleans = column(False)  # whether `gear` is part of the control; else the gearbox is automatic
+    speed: Floats = column(0.0)  # the speed forward in m/s; negative backwards
+    sideways: Floats = column(0.0)  # the speed to the right, in m/s
+    turning: Floats = column(0.0)  # the yaw rate in rad/s, positive to the right
+    steer_angle: Floats = column(0.0)  # the angle between those of the front wheels in radians, positive to the right
     steer_limit: Floats = column(1.0)
     """The angle of the inner front wheel at full steering and the present speed, in radians."""
-    wheelbase: Floats = column(1.0)
-    """The distance between the axles in m."""
-    front: Floats = column(0.5)
-    """The distance from its origin to the front axle in m."""
-    rear: Floats = column(0.5)
-    """The distance from its origin to the rear axle in m."""
-    air: Floats = column(0.0)
-    """The drag of the air: the force in N at 1 m/s."""
-    table: Integers = column(np.int64(0))
-    """The rows of `tables` that are theirs."""
+    wheelbase: Floats = column(1.0)  # the distance between the axles in m
+    front: Floats = column(0.5)  # the distance from its origin to the front axle in m
+    rear: Floats = column(0.5)  # the distance from its origin to the rear axle in m
+    air: Floats = column(0.0)  # the drag of the air: the force in N at 1 m/s
+    table: Integers = column(np.int64(0))  # the rows of `tables` that are theirs
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)

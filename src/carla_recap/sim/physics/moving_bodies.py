@@ -36,40 +36,23 @@ class MovingBodies(StructOfArrays):
         bodies: Their bodies in the plane.
     """
 
-    id: NDArray[np.int64] = column(np.int64(0))
-    """The ids of the actors."""
-    body_id: NDArray[np.uintp] = column(np.uintp(0))
-    """The ids of the bodies."""
-    position: Floats = column(np.zeros(3))
-    """The positions in m, (n, 3)."""
-    rotation: Floats = column(np.zeros(3))
-    """Pitch, yaw and roll in degrees, (n, 3)."""
-    velocity: Floats = column(np.zeros(3))
-    """The velocities in m/s, (n, 3)."""
-    angular_velocity: Floats = column(np.zeros(3))
-    """The rates of turn in degrees/s about x, y and z, (n, 3)."""
-    acceleration: Floats = column(np.zeros(3))
-    """The accelerations in m/s², (n, 3)."""
-    half_length: Floats = column(0.0)
-    """Half of the length of the box in m."""
-    half_width: Floats = column(0.0)
-    """Half of the width of the box in m."""
-    bottom: Floats = column(0.0)
-    """The height of the bottom of the box above the origin, in m."""
-    top: Floats = column(0.0)
-    """The height of the top of the box above the origin, in m."""
-    mass: Floats = column(1.0)
-    """The masses in kg."""
-    moment: Floats = column(inf)
-    """The moments of inertia in kg m²; those of walkers are infinite."""
-    simulated: NDArray[np.bool_] = column(True)
-    """Whether forces move it; else it stays where it is placed."""
-    unsettled: NDArray[np.bool_] = column(True)
-    """Whether it was placed or falls, and is not on the ground yet."""
-    weightless: NDArray[np.bool_] = column(False)
-    """Whether there is no gravity for it: it keeps its height."""
-    carried: NDArray[np.bool_] = column(False)
-    """Whether it is attached to another actor and moves with it."""
+    id: NDArray[np.int64] = column(np.int64(0))  # the ids of the actors
+    body_id: NDArray[np.uintp] = column(np.uintp(0))  # the ids of the bodies
+    position: Floats = column(np.zeros(3))  # the positions in m, (n, 3)
+    rotation: Floats = column(np.zeros(3))  # pitch, yaw and roll in degrees, (n, 3)
+    velocity: Floats = column(np.zeros(3))  # the velocities in m/s, (n, 3)
+    angular_velocity: Floats = column(np.zeros(3))  # the rates of turn in degrees/s about x, y and z, (n, 3)
+    acceleration: Floats = column(np.zeros(3))  # the accelerations in m/s², (n, 3)
+    half_length: Floats = column(0.0)  # half of the length of the box in m
+    half_width: Floats = column(0.0)  # half of the width of the box in m
+    bottom: Floats = column(0.0)  # the height of the bottom of the box above the origin, in m
+    top: Floats = column(0.0)  # the height of the top of the box above the origin, in m
+    mass: Floats = column(1.0)  # the masses in kg
+    moment: Floats = column(inf)  # the moments of inertia in kg m²; those of walkers are infinite
+    simulated: NDArray[np.bool_] = column(True)  # whether forces move it; else it stays where it is placed
+    unsettled: NDArray[np.bool_] = column(True)  # whether it was placed or falls, and is not on the ground yet
+    weightless: NDArray[np.bool_] = column(False)  # whether there is no gravity for it: it keeps its height
+    carried: NDArray[np.bool_] = column(False)  # whether it is attached to another actor and moves with it
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__()

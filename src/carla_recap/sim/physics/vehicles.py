@@ -42,18 +42,12 @@ def same_everywhere(values: Floats) -> Floats:
 class Vehicles(Drivetrains):
     """The vehicles; row i of each array belongs to `actors[i]`."""
 
-    light_state: NDArray[np.uint32] = column(np.uint32(0))
-    """CARLA's light bits."""
-    autopilot: Booleans = column(False)
-    """Whether the autopilot drives."""
-    sticky: Booleans = column(True)
-    """Whether a control holds until the next one; else it holds for a tick."""
-    controlled: Booleans = column(False)
-    """Whether a control was applied since the latest tick."""
-    awake: Booleans = column(False)
-    """Whether it moves, or is about to."""
-    force: Floats = column(np.zeros(2))
-    """The external force of the next tick in N, in the world, (n, 2)."""
+    light_state: NDArray[np.uint32] = column(np.uint32(0))  # CARLA's light bits
+    autopilot: Booleans = column(False)  # whether the autopilot drives
+    sticky: Booleans = column(True)  # whether a control holds until the next one; else it holds for a tick
+    controlled: Booleans = column(False)  # whether a control was applied since the latest tick
+    awake: Booleans = column(False)  # whether it moves, or is about to
+    force: Floats = column(np.zeros(2))  # the external force of the next tick in N, in the world, (n, 2)
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)

@@ -27,18 +27,13 @@ FALL: Final = 1.5  # m/s: a push that changes the velocity by more throws a walk
 class Walkers(MovingBodies):
     """The walkers; row i of each array belongs to `actors[i]`."""
 
-    direction: Floats = column(np.array((1.0, 0.0, 0.0)))
-    """The direction of the control, of length 1, (n, 3)."""
-    speed: Floats = column(0.0)
-    """The speed of the control in m/s."""
-    jump: NDArray[np.bool_] = column(False)
-    """The jump flag of the control."""
-    fallen: NDArray[np.bool_] = column(False)
-    """Whether a vehicle has thrown it down; it does not get up."""
+    direction: Floats = column(np.array((1.0, 0.0, 0.0)))  # the direction of the control, of length 1, (n, 3)
+    speed: Floats = column(0.0)  # the speed of the control in m/s
+    jump: NDArray[np.bool_] = column(False)  # the jump flag of the control
+    fallen: NDArray[np.bool_] = column(False)  # whether a vehicle has thrown it down; it does not get up
     half_height: Floats = column(0.9)
     """The height of its origin above the ground, in m: half of the box's, or of its depth where it lies."""
-    slide: Floats = column(np.zeros(2))
-    """The velocity of its body, in m/s, (n, 2)."""
+    slide: Floats = column(np.zeros(2))  # the velocity of its body, in m/s, (n, 2)
     destination: Floats = column(np.full(3, np.nan))
     """Where it walks by itself, in m, (n, 3); NaN where its control says where it walks."""
 

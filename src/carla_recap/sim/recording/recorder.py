@@ -18,7 +18,7 @@ from carla_recap.formats import SUFFIXES
 from carla_recap.model.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
-from carla_recap.sim.recording.writer_process import InProcessWriter, RecordingWriter, WriterProcess
+from carla_recap.sim.recording.writer_process import RecordingWriter, start_process
 from carla_recap.sim.settings import source_date
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class WorldRecorder:
                 the end stays: the new recording lies beside it then, and a warning contains its path.
             visible: Put a recording without frames under the name at once; else the name appears with the complete one.
             now: Record the world as it is as the first frame; else the first frame is the end of the next tick.
-            in_process: Write in this process, which saves the start of another one; see `InProcessWriter`.
+            in_process: Write in this process, which saves the start of another one; see `RecordingWriter`.
             wide: Record in double precision, and without physics, as CARLA 0.10 does.
             process: The process that writes, of `start_process`, which takes a moment; by default, it is started here.
 
@@ -140,10 +140,8 @@ class WorldRecorder:
             header = Header(self.episode.town.name, self.date, wide=wide, shifted=wide, parameters=self._parameters)
             sampler = WorldSampler(self.episode, additional_data=additional_data, wide=wide)
             format = path.suffix.lower() if path.suffix.lower() in SUFFIXES else _LOG
-            if in_process:
-                self._writer = InProcessWriter(path, header, force=force, format=format, visible=visible)
-            else:
-                self._writer = WriterProcess(path, header, force=force, format=format, visible=visible, process=process)
+            process = process or (None if in_process else start_process())
+            self._writer = RecordingWriter(path, header, process, force=force, format=format, visible=visible)
             self._sampler = sampler
             # A recording that is never stopped is completed with the recorder or the interpreter.
             self._finish = weakref.finalize(self, self._writer.close)

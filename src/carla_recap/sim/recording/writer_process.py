@@ -1,8 +1,8 @@
 """Writing a recording in a process of its own: no tick waits for a disk, and a killed simulation loses the last frames only.
 
-`WriterProcess` is the client. It starts `python -m carla_recap.sim.recording.writer_process`, one process for each
-recording, and sends it commands over a pipe, as pickles; each one is answered by None or an error text. When the client has
-gone, the process completes the recording and ends.
+`RecordingWriter` is the client of `python -m carla_recap.sim.recording.writer_process`, one process for each recording. It
+sends commands over a pipe, as pickles; each one is answered by None or an error text. When the client has gone, the process
+completes the recording and ends.
 
 This is not `multiprocessing.Process`: its spawned processes import the caller's `__main__`, which starts another recording
 in scripts without a guard, and workers of a pool must not start any.
@@ -45,22 +45,58 @@ class WriterEnded(RecapError):
     """The process that writes a recording has ended by itself."""
 
 
-class _CommandFailed(RecapError):
-    """The process has answered a command with an error."""
+class CommandFailed(RecapError):
+    """A command has failed."""
 
 
 class RecordingWriter:
-    """Takes batches of snapshots, and has each written once another one follows.
+    """Takes batches of snapshots without delay, and has each written once another one follows, by a process of its own.
+
+    An error there ends the recording, and nothing else. If this process is killed, the recording is completed except for
+    what has not been sent: the last batch, and those that wait for a slow disk. Without a process, a thread of this one
+    writes, which is cheaper, and what is left of a killed one stays beside the destination, for `recover`.
+
+    With `force`, a file at the destination is replaced at the end, else it stays, and the recording lies beside it. With
+    `visible`, a recording without frames is put there at once; it is removed again if the recording fails, and nothing of it
+    can be put in its place.
 
     Attributes:
         path: The destination.
         error: The error that ended the recording; None as long as there is none.
+
+    Raises:
+        DestinationError: The destination cannot be written to.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self,
+        path: Path,
+        header: Header,
+        process: subprocess.Popen[bytes] | None,
+        *,
+        force: bool = True,
+        format: str | None = None,
+        visible: bool = False,
+    ) -> None:
         self.path = path
         self.error: RecapError | None = None
         self._batch: SnapshotBatch | None = None
+        self._placeholder: int | None = None  # the inode of the recording without frames
+        self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
+        self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
+        self._process = process
+        self._commands = Commands()  # for want of a process
+        self.pid = os.getpid() if process is None else process.pid
+        try:
+            self._command("begin", path, header, force, format, visible)
+            self._placeholder = path.stat().st_ino if visible else None
+            self._thread.start()
+        except CommandFailed as error:
+            self._end()
+            raise DestinationError(str(error)) from None
+        except BaseException:
+            self._end()
+            raise
 
     def write(self, batch: SnapshotBatch) -> None:
         """Add a batch, or what was added to it; errors appear in `error`, sooner or later."""
@@ -70,56 +106,6 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Wait until the file is complete, or has failed; a second call does nothing."""
-        raise NotImplementedError
-
-    def _write_batch(self) -> None:
-        raise NotImplementedError
-
-
-class WriterProcess(RecordingWriter):
-    """Takes batches of snapshots without delay, and has each written by a process of its own once it is complete.
-
-    An error there ends the recording, and nothing else. If this process is killed, the recording is completed except for
-    what has not been sent: the last batch, and those that wait for a slow disk.
-
-    With `force`, a file at the destination is replaced at the end, else it stays, and the recording lies beside it. With
-    `visible`, a recording without frames is put there at once; it is removed again if the recording fails, and nothing of it
-    can be put in its place.
-
-    Raises:
-        DestinationError: The destination cannot be written to.
-        RecapError: The process cannot be started.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        header: Header,
-        *,
-        force: bool = True,
-        format: str | None = None,
-        visible: bool = False,
-        process: subprocess.Popen[bytes] | None = None,
-    ) -> None:
-        super().__init__(path)
-        self._placeholder: int | None = None  # the inode of the recording without frames
-        self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
-        self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
-        self._process = process or start_process()
-        self.pid = self._process.pid
-        try:
-            self._command("begin", path, header, force, format, visible)
-            self._placeholder = path.stat().st_ino if visible else None
-            self._thread.start()
-        except _CommandFailed as error:
-            self._end()
-            raise DestinationError(str(error)) from None
-        except BaseException:
-            self._end()
-            raise
-
-    def close(self) -> None:
-        """See `RecordingWriter.close`."""
         if self._thread.is_alive():
             self._write_batch()
             self._queue.put(None)
@@ -141,7 +127,7 @@ class WriterProcess(RecordingWriter):
             self.error = error
         except Exception as error:
             self.error = RecapError(f"{self.path}: has ended early: {type(error).__name__}: {error}")
-        self._end()  # which completes the recording if it is not complete yet
+        self._end()
         if self.error is not None:
             self._remove_placeholder()
         while batch is not None:  # nothing that is put into the queue may wait for ever
@@ -153,24 +139,35 @@ class WriterProcess(RecordingWriter):
                 self.path.unlink()
 
     def _command(self, name: str, *arguments: Any) -> None:
-        """Send a command, and wait for its answer; raise `_CommandFailed`, or `WriterEnded`."""
-        command = pickle.dumps((name, arguments), pickle.HIGHEST_PROTOCOL)
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
+        """Have a command carried out; raise `CommandFailed`, or `WriterEnded`."""
+        if self._process is None:
+            error = self._commands.carry_out(name, arguments)
+        else:
+            error = self._answer(self._process, pickle.dumps((name, arguments), pickle.HIGHEST_PROTOCOL))
+        if error is not None:
+            raise CommandFailed(error)
+
+    def _answer(self, process: subprocess.Popen[bytes], command: bytes) -> str | None:
+        """Send a command to the process, and return its answer."""
+        assert process.stdin is not None
+        assert process.stdout is not None
         try:
             with broken_pipes_are_errors():
-                self._process.stdin.write(command)
-                self._process.stdin.flush()
-            error = pickle.load(self._process.stdout)
+                process.stdin.write(command)
+                process.stdin.flush()
+            answer: str | None = pickle.load(process.stdout)
         except Exception:
             self._end()
-            reason = f"the process that writes it has ended with exit code {self._process.returncode}"
+            reason = f"the process that writes it has ended with exit code {process.returncode}"
             raise WriterEnded(f"{self.path}: {reason}") from None
-        if error is not None:
-            raise _CommandFailed(error)
+        return answer
 
     def _end(self) -> None:
-        """End the process, which completes the recording before."""
+        """Complete the recording if it is not complete yet, and end the process."""
+        if self._process is None:
+            with suppress(RecapError):
+                self._commands.finish()
+            return
         with broken_pipes_are_errors():
             with suppress(OSError, ValueError):
                 assert self._process.stdin is not None
@@ -212,7 +209,7 @@ def discard_process(process: subprocess.Popen[bytes]) -> None:
 
 
 class Commands:
-    """The commands of the process, each a method; they write one recording after the other.
+    """The commands, each a method; they write one recording after the other.
 
     A full or broken disk ends a recording: what the disk contains becomes a complete recording if possible; else it is left
     beside the destination for `recover`.
@@ -222,10 +219,20 @@ class Commands:
         self._writer: Writer | None = None
         self._is_empty = True
 
+    def carry_out(self, name: str, arguments: tuple[Any, ...]) -> str | None:
+        """Carry out a command; return the text of an error, if there is one."""
+        try:
+            getattr(self, name)(*arguments)
+        except RecapError as error:
+            return str(error)
+        except Exception as error:
+            return f"{type(error).__name__}: {error}"
+        return None
+
     def begin(
         self, path: Path, header: Header, force: bool = True, format: str | None = None, visible: bool = False
     ) -> None:
-        """Begin a recording; see `WriterProcess`. `RecapError`: the destination cannot be written to."""
+        """Begin a recording; see `RecordingWriter`. `RecapError`: the destination cannot be written to."""
         writer = create_writer(path, header, live=True, force=force, format=format)
         if visible:
             try:
@@ -269,51 +276,11 @@ class Commands:
         return finish_partial(writer, self._path, error, force=self._is_visible, format=self._format)
 
 
-class InProcessWriter(RecordingWriter):
-    """Takes batches as `WriterProcess` does, and writes them in this process: cheaper, but a tick may wait for the disk.
-
-    If this process is killed, the unfinished file stays beside the destination, for `recover`.
-    """
-
-    def __init__(
-        self, path: Path, header: Header, *, force: bool = True, format: str | None = None, visible: bool = False
-    ) -> None:
-        super().__init__(path)
-        self._commands = Commands()
-        try:
-            self._commands.begin(path, header, force, format, visible)
-        except RecapError as error:
-            raise DestinationError(str(error)) from None
-
-    def close(self) -> None:
-        """See `RecordingWriter.close`."""
-        self._write_batch()
-        self._batch = None
-        if self.error is None:
-            try:
-                self._commands.close()
-            except RecapError as error:
-                self.error = error
-
-    def _write_batch(self) -> None:
-        if self._batch is not None and self.error is None:
-            try:
-                self._commands.write(self._batch)
-            except RecapError as error:
-                self.error = error
-
-
 def serve(commands: BinaryIO, answers: BinaryIO) -> None:
     """Carry out commands (pickles of names and arguments, at last None) until there are no more; complete the recording."""
     recording = Commands()
     for name, arguments in read_commands(commands):
-        try:
-            getattr(recording, name)(*arguments)
-            answer = None
-        except RecapError as error:
-            answer = str(error)
-        except Exception as error:
-            answer = f"{type(error).__name__}: {error}"
+        answer = recording.carry_out(name, arguments)
         with suppress(OSError):  # the client has gone; no more commands will come
             pickle.dump(answer, answers)
             answers.flush()

@@ -177,7 +177,7 @@ class Autopilot:
             points = self._network.points(near, along)
             lane_x, lane_y, _ = self._network.poses(points)
             on_lane = np.hypot(x - lane_x, y - lane_y) < _ON_LANE
-            on_lane &= np.abs(z - self._network.height(points[0])) < _ON_LANE
+            on_lane &= np.abs(z - self._network.height[points[0]]) < _ON_LANE
             others = others[on_lane]
             lane, s = np.concatenate((lane, near[on_lane])), np.concatenate((s, along[on_lane]))
             speed = np.concatenate((speed, vehicles.speed[others]))

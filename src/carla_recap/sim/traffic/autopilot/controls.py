@@ -70,7 +70,7 @@ def set_steering(state: AutopilotState) -> None:
     x, y, heading = shift_poses(drivers, routes.position, ahead, network.poses(points))
     away_x, away_y = cars.x + front * cars.cos - x[:, 0], cars.y + front * cars.sin - y[:, 0]
     offset = away_y * np.cos(heading[:, 0]) - away_x * np.sin(heading[:, 0])
-    angle = _steering_angle(cars, offset, heading[:, 1] - cars.yaw, network.curvature(points[0])[:, 1])
+    angle = _steering_angle(cars, offset, heading[:, 1] - cars.yaw, network.curvature[points[0]][:, 1])
     vehicles.steer[cars.rows] = same_everywhere(np.clip(angle / vehicles.steer_limit[cars.rows], -1, 1))
 
 

@@ -62,44 +62,25 @@ class DrivenVehicles(NamedTuple):
 class Drivers(StructOfArrays):
     """The drivers, one for each vehicle that the autopilot drives; positions are along its route, in m."""
 
-    id: Integers = column(np.int64(0))
-    """The id of the vehicle."""
-    speed_factor: Floats = column(1.0)
-    """The share of the speed limit that the driver drives."""
-    headway: Floats = column(1.5)
-    """The time gap that the driver keeps, in s."""
-    max_acceleration: Floats = column(2.0)
-    """The greatest acceleration of the driver, in m/s²."""
-    comfort: Floats = column(2.0)
-    """The geometric mean of that and of the driver's comfortable braking, in m/s²."""
-    acceleration: Floats = column(0.0)
-    """The acceleration that was last asked of the vehicle, in m/s²."""
-    standing_time: Floats = column(0.0)
-    """How long the vehicle has been standing, in s."""
-    off_road: Booleans = column(False)
-    """Whether no lane is near enough to drive on."""
-    returning: Booleans = column(False)
-    """Whether the vehicle has to return to the road."""
-    lateral_offset: Floats = column(0.0)
-    """The offset of the vehicle to the right of the lane's centre, in m."""
-    transition_start: Floats = column(0.0)
-    """The position at which the transition to the lane's centre begins."""
-    transition_length: Floats = column(1.0)
-    """The length of that transition."""
-    transition_offset: Floats = column(0.0)
-    """The lateral offset at its start, in m."""
-    transition_slope: Floats = column(0.0)
-    """The slope at its start, see `routes.lateral_offset`."""
-    stop_line: Floats = column(np.inf)
-    """The position of the next stop line; infinity if there is none."""
-    lights: Integers = column(np.int64(NONE))
-    """The number of the group of lights in force there."""
-    must_stop: Booleans = column(False)
-    """Whether there is a stop sign at which the vehicle has not stopped yet."""
-    has_reservation: Booleans = column(False)
-    """Whether the vehicle may pass the stop line."""
-    waiting_since: Floats = column(np.inf)
-    """The time at which it first asked for that, in s; infinity if it has not."""
+    id: Integers = column(np.int64(0))  # the id of the vehicle
+    speed_factor: Floats = column(1.0)  # the share of the speed limit that the driver drives
+    headway: Floats = column(1.5)  # the time gap that the driver keeps, in s
+    max_acceleration: Floats = column(2.0)  # the greatest acceleration of the driver, in m/s²
+    comfort: Floats = column(2.0)  # the geometric mean of that and of the driver's comfortable braking, in m/s²
+    acceleration: Floats = column(0.0)  # the acceleration that was last asked of the vehicle, in m/s²
+    standing_time: Floats = column(0.0)  # how long the vehicle has been standing, in s
+    off_road: Booleans = column(False)  # whether no lane is near enough to drive on
+    returning: Booleans = column(False)  # whether the vehicle has to return to the road
+    lateral_offset: Floats = column(0.0)  # the offset of the vehicle to the right of the lane's centre, in m
+    transition_start: Floats = column(0.0)  # the position at which the transition to the lane's centre begins
+    transition_length: Floats = column(1.0)  # the length of that transition
+    transition_offset: Floats = column(0.0)  # the lateral offset at its start, in m
+    transition_slope: Floats = column(0.0)  # the slope at its start, see `routes.lateral_offset`
+    stop_line: Floats = column(np.inf)  # the position of the next stop line; infinity if there is none
+    lights: Integers = column(np.int64(NONE))  # the number of the group of lights in force there
+    must_stop: Booleans = column(False)  # whether there is a stop sign at which the vehicle has not stopped yet
+    has_reservation: Booleans = column(False)  # whether the vehicle may pass the stop line
+    waiting_since: Floats = column(np.inf)  # the time at which it first asked for that, in s; infinity if it has not
     junction_end: Floats = column(np.inf)
     """The position that the rear end must pass to leave the junction; infinity outside of junctions."""
 

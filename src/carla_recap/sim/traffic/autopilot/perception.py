@@ -152,7 +152,7 @@ def perceive(state: AutopilotState, obstacles: Obstacles) -> Perception:
     paths = _Paths(
         distance,
         *shift_poses(drivers, routes.position, distance, network.poses((index, share))),
-        network.height(index),
+        network.height[index],
     )
     margin = np.maximum(_MARGIN - (_MARGIN - _LEAST_MARGIN) * drivers.standing_time / _SQUEEZE, _LEAST_MARGIN)
     hits = _find_hits(paths, cars.rows, obstacles, cars.half_width + margin)
@@ -238,7 +238,7 @@ def _find_meetings(state: AutopilotState, paths: _Paths, index: Integers) -> _Hi
     cars, drivers = state.cars, state.drivers
     sweep = (cars.wheelbase / 2 + cars.half_length) ** 2 / 4  # room to each side by curvature; see `controls.set_steering`
     long = (sweep > _LONG).nonzero()[0]
-    room = cars.half_width[long, None] + np.abs(state.network.curvature(index[long])) * sweep[long, None]
+    room = cars.half_width[long, None] + np.abs(state.network.curvature[index[long]]) * sweep[long, None]
     barred = np.where(drivers.has_reservation[long], np.inf, drivers.stop_line[long] - state.routes.position[long])
     room[paths.distance[long] > barred[:, None]] = 0.0
     bent = (room.max(axis=1) > _LANE).nonzero()[0]

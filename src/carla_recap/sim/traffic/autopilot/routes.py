@@ -59,6 +59,10 @@ class LaneNetwork:
     to the next point; `points` finds them.
 
     Attributes:
+        points: Returns the points for distances along lanes.
+        limit: Returns the speed limits at distances along lanes, in m/s.
+        curvature: The curvature at each point in 1/m, positive to the right.
+        height: The z of each point, in m.
         length: The length of each lane in m.
         entry_limit: The speed limit at the beginning of each lane in m/s.
         entry_speed: The speed that the curves of each lane allow at its beginning, in m/s.
@@ -75,7 +79,9 @@ class LaneNetwork:
         columns = index.points[:, 0], index.points[:, 1], index.heading
         self._columns = [(column.copy(), np.append(np.diff(column), 0.0)) for column in columns]
         curvature = [_curvature(lane) for lane in lanes]
-        self._curvature = np.concatenate(curvature)
+        self.curvature: Floats = np.concatenate(curvature)
+        self.height: Floats = index.points[:, 2]
+        self.points, self.limit = index.steps, index.limit
         self._safe_speed = np.concatenate([_safe_speed(lane, bend) for lane, bend in zip(lanes, curvature, strict=True)])
         self.length = index.length
         self.entry_limit = index.limits[index.first]
@@ -86,29 +92,11 @@ class LaneNetwork:
         self.turn = np.array([{"left": -1, "straight": 0, "right": 1}[lane.turn] for lane in lanes])
         self.successors = _successors(lanes)
 
-    def points(self, lane: Integers, s: Floats) -> Points:
-        """Return the points for distances along lanes."""
-        return self._index.steps(lane, s)
-
     def poses(self, points: Points) -> tuple[Floats, Floats, Floats]:
         """Return x, y and heading of points."""
         index, share = points
         x, y, heading = (column[index] + share * change[index] for column, change in self._columns)
         return x, y, heading
-
-    def height(self, index: Integers) -> Floats:
-        """Return the z of lane points by their indices, in m."""
-        height: Floats = self._index.points[index, 2]
-        return height
-
-    def curvature(self, index: Integers) -> Floats:
-        """Return the curvature at lane points by their indices in 1/m, positive to the right."""
-        curvature: Floats = self._curvature[index]
-        return curvature
-
-    def limit(self, lane: Integers, s: Floats) -> Floats:
-        """Return the speed limits at distances along lanes, in m/s."""
-        return self._index.limit(lane, s)
 
     def safe_speed(self, points: Points) -> Floats:
         """Return the speed at points that the curves there and ahead on the same lane allow, in m/s."""
@@ -344,7 +332,7 @@ def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision:
 def _is_straight(routes: Routes, network: LaneNetwork) -> Booleans:
     """Return for each route whether it is straight for some distance ahead."""
     ahead = np.broadcast_to(_PREVIEW, (len(routes), len(_PREVIEW)))
-    curvature = np.abs(network.curvature(network.points(*routes.locate(ahead))[0])).max(axis=1)
+    curvature = np.abs(network.curvature[network.points(*routes.locate(ahead))[0]]).max(axis=1)
     straight: Booleans = curvature < _STRAIGHT
     return straight
 
