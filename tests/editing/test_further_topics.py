@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import random
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
 from carla_recap import RecapError, RecapWarning, clip, convert, open_recording, recover
+from carla_recap.formats.base import LATCHED
 from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import McapWriter
@@ -90,6 +92,22 @@ def test_a_clip_has_the_only_message_of_a_topic(run, tmp_path):
     clip(run, tmp_path / "clip.mcap", start=2.0, duration=3.0)
     with open_recording(tmp_path / "clip.mcap") as recording:
         assert list(recording.reader.messages("/note")) == [(0.0, b'"late"')]
+
+
+@pytest.mark.parametrize("start", [2.0, 2.5])
+def test_a_clip_begins_with_the_latest_message_of_a_latched_topic(tmp_path, start):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        for name, metadata in (("/lights", {LATCHED: "1"}), ("/log", {})):
+            writer.add_topic(replace(plain(name), metadata=metadata))
+        for frame in drive(6.0):
+            writer.write(frame)
+            if frame.elapsed in (0.0, 1.0, 2.0, 4.0):
+                for name in ("/lights", "/log"):
+                    writer.write_message(name, frame.elapsed, b"%d" % frame.elapsed)
+    clip(tmp_path / "run.mcap", tmp_path / "clip.mcap", start=start, duration=3.0)
+    with open_recording(tmp_path / "clip.mcap") as recording:
+        assert list(recording.reader.messages("/lights")) == [(0.0, b"2"), (4.0 - start, b"4")]
+        assert [data for _, data in recording.reader.messages("/log")] == [b"2", b"4"][int(start > 2.0) :]
 
 
 def test_a_clip_as_a_log_is_without_them(run, tmp_path):

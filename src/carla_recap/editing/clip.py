@@ -51,7 +51,8 @@ def clip(
     the frame of the spawn means that the pose of the spawn is relative to the parent.
 
     In an .mcap, the clip has the messages of further topics of its time, too, such as those of sensors, their bytes
-    unchanged; of a topic with a single message, such as a calibration, that message. A .log cannot hold them.
+    unchanged; of a topic with a single message, such as a calibration, that message, and of a latched one, such as a scene's
+    lights, the latest one before. A .log cannot hold them.
 
     Args:
         source: A recording of any format, or its URL.

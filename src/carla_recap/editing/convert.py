@@ -72,7 +72,8 @@ class TopicCopy:
     """Copies the further topics of a recording, such as the data of sensors, in step with its frames, but those `without`.
 
     Copied are messages from `start` to `stop`; times count from `origin`, all in elapsed seconds of the recording. Of topics
-    with a single message, such as a map or a calibration, an earlier one is copied, too; its time is that of the start then.
+    with a single message, such as a map or a calibration, and of latched ones, the latest earlier one is copied, too, to the
+    time of the start.
     A `RecapWarning` says that they are left out, since the copy is no MCAP file, which alone can hold them.
     """
 
@@ -104,10 +105,10 @@ class TopicCopy:
         self._writer = writer
         for topic in topics.values():
             writer.add_topic(topic.topic, group=topic.group)
-        for name, topic in topics.items():
-            if topic.count == 1 and topic.first is not None and topic.first < start:
-                for _, data in reader.messages(name):
-                    writer.write_message(name, start - origin, data)
+        latched = [name for name, topic in topics.items() if topic.count == 1 or topic.topic.is_latched]
+        for name, elapsed, data in reader.latest_messages(latched, start):
+            if elapsed < start - SAME_TIME:
+                writer.write_message(name, start - origin, data)
         self._messages = reader.further_messages([*topics], start, stop, in_order=False)
         self._next = next(self._messages, None)
 

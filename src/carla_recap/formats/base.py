@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 PIECE = 1 << 20
 """The size in bytes of the pieces in which bytes without a schema are handed on."""
 
+LATCHED = "latched"
+"""The key of a channel's metadata that is "1" if each of its messages is valid until the next one."""
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -33,6 +36,11 @@ class Topic:
     metadata: Mapping[str, str] = field(default_factory=dict)  # what the channel says beside it
     encoding: str = "protobuf"  # the encoding of the messages, as MCAP names it
     schema_encoding: str = "protobuf"  # the encoding of the schema, as MCAP names it
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether a message is valid until the next one, as its metadata say."""
+        return self.metadata.get(LATCHED) == "1"
 
 
 @dataclass(frozen=True)

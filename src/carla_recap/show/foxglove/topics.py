@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.formats.base import Topic
+from carla_recap.formats.base import LATCHED, Topic
 from carla_recap.formats.mcap.schema import MESSAGE, LogClock
 from carla_recap.replay import Played
 from carla_recap.roads.surfaces import road_network_of_map
@@ -77,7 +77,10 @@ def schema_of(message: type[Message]) -> bytes:
     return data
 
 
-TOPICS: Final = [Topic(name, type.DESCRIPTOR.full_name, partial(schema_of, type)) for name, type in _MESSAGES.items()]
+TOPICS: Final = [
+    Topic(name, type.DESCRIPTOR.full_name, partial(schema_of, type), {} if name in (LOG, followed.HERO) else {LATCHED: "1"})
+    for name, type in _MESSAGES.items()
+]
 """All topics."""
 
 RATE: Final = 20.0
