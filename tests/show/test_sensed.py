@@ -304,6 +304,16 @@ def test_an_actor_that_is_absent_is_said(tmp_path: Path) -> None:
     with pytest.warns(RecapWarning, match=r"the hero is absent, or has no pose, at 2 of 4 moments, first at 0\.1 s"):
         done = export(path, tmp_path / "sensed.mcap")
     assert done.samples == {"imu": 2, "speed": 2}
+    with pytest.raises(RecapError, match=r"expected a pose of the hero, to carry the rig, found none at any of 2 moments"):
+        export(path, tmp_path / "later.mcap", start=2 * STEP)
+    assert not (tmp_path / "later.mcap").exists()
+
+
+def test_a_clip_of_it_has_the_lights_from_its_start(path: Path, tmp_path: Path) -> None:
+    carla_recap.clip(path, tmp_path / "clip.mcap", start=1.5 * STEP)
+    with open_recording(tmp_path / "clip.mcap") as recording:
+        topics = recording.reader.further_topics()
+    assert [topics[name].first for name in ("/lights", "/map")] == [0.0, 0.0]
 
 
 def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_path: Path) -> None:

@@ -103,8 +103,8 @@ def export_sensed(
         options: Those of `sense`: the fields of `SensingOptions`.
 
     Raises:
-        RecapError: There is no such time or actor, the recording has a sensor of the same id, nothing can draw, or the file
-            cannot be written.
+        RecapError: There is no such time or actor, or no pose of it, the recording has a sensor of the same id, nothing can
+            draw, or the file cannot be written.
         MissingExtra: An optional dependency is not installed.
         FormatError: The recording contradicts its format.
 
@@ -140,7 +140,7 @@ def export_sensed(
                     writer.add_topic(topic)
             file = _SensedWriter(source, writer, messages, copy)
             file.write(scenes, moments)
-        file.warn_of_absence(sensing.actor)
+            file.check_presence(sensing.actor)
         extent = source.reader.extent()
         layouts = write_layouts(destination, messages.topics)
         return SensedFile(extent.frames, extent.duration, file.samples, layouts)
@@ -194,10 +194,13 @@ class _SensedWriter:
         for piece in self._source.reader.tail():
             self._writer.write_tail(piece)
 
-    def warn_of_absence(self, actor: ActorName) -> None:
-        """Warn if the actor was absent, or its pose unknown, at some moments."""
+    def check_presence(self, actor: ActorName) -> None:
+        """Warn if the actor was absent, or its pose unknown, at some moments; raise `RecapError` if at all of them."""
         if self._absent:
             name = "the hero" if actor == HERO else f"actor {actor}"
+            if self._absent == self._moments:
+                text = f"expected a pose of {name}, to carry the rig, found none at any of {self._moments} moments"
+                raise RecapError(f"{self._source.location}: {text}")
             times = f"{self._absent} of {self._moments} moments, first at {number(self._absent_from)} s"
             text = f"{self._source.location}: {name} is absent, or has no pose, at {times}: nothing is measured then"
             warnings.warn(text, RecapWarning, stacklevel=3)
