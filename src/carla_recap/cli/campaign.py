@@ -270,7 +270,7 @@ def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator
     errors: Counter[str] = Counter()
     failed = done = 0  # failed ones in a row
     with SourcesBar("running", total) as bar:
-        for finished in runs:
+        for finished in bar.counted(runs):
             error = finished.report.error
             failed = 0 if error is None else failed + 1
             with bar.aside():
@@ -281,7 +281,6 @@ def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator
                     if errors[error] == 1:
                         fail(f"{finished.run.name}: {error}")
             yield finished
-            bar.advance()
             done += 1
             if failed >= most:
                 break
@@ -301,14 +300,13 @@ def _judged(
     found: list[CampaignRow] = []
     checked: dict[str, CheckedRecording] = {}
     with SourcesBar("checking", len(rows)) as bar:
-        for row, verdicts in judged(rows, rules, road_map=road_map, **processes):
+        for row, verdicts in bar.counted(judged(rows, rules, road_map=road_map, **processes)):
             found.append(row)
             if verdicts is not None:
                 checked[row.recording] = verdicts
                 with bar.aside():
                     for line in verdicts.warnings:
                         warn(f"{row.recording}: {line}")
-            bar.advance()
     return found, checked
 
 

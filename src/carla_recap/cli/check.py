@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import Messages, SourcesRequest, cluster, watched
+from carla_recap.cli.many import Messages, SourcesRequest
 from carla_recap.cli.output import counted, end, fail, print_json, wrote
+from carla_recap.output.terminal import TableColumn, print_table
+from carla_recap.util.signals import unwind_on_termination
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -21,6 +24,13 @@ if TYPE_CHECKING:
     from carla_recap.rules.rule_sets import RuleSet
 
 _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
+_COLUMNS: Final = (
+    TableColumn("", style=_STYLES.__getitem__),
+    TableColumn("Recording", narrowed="middle"),
+    TableColumn("Rule"),
+    TableColumn("Time", is_number=True),
+    TableColumn("What happens", narrowed="words"),
+)
 
 
 @click.command()
@@ -67,13 +77,11 @@ def check(
     judged: list[CheckedRecording] = []
     checked, is_judged, failures = judged, False, []
     try:
-        with cluster(request.dask) as client, _folder_of_pages(html, force=force) as room:
-            found, bar = watched(request.sources, "checking")
-            with bar, closing(check_sources(found, rules, road_map=road_map, jobs=request.jobs, client=client)) as given:
-                messages = Messages(bar)
+        check_each = partial(check_sources, rules=rules, road_map=road_map)
+        with unwind_on_termination(), _folder_of_pages(html, force=force) as room:
+            with request.reading("checking", check_each) as (given, messages):
                 for each in given:
                     judged.append(strict(each) if is_strict else each)
-                    bar.advance()
                     messages.add(each.recording, each.warnings)
             is_judged = True
             shown = (
@@ -172,7 +180,9 @@ def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None)
         return
     rows = [row for each in ordered for row in _rows(each)]
     if form is None and sys.stdout.isatty():
-        _print_table(rows)
+        from rich.console import Console
+
+        print_table(Console(), _COLUMNS, rows)
     else:
         widths = [max(len(row[column]) for row in rows) if rows else 0 for column in range(4)]
         for row in rows:
@@ -196,22 +206,6 @@ def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
     if len(bad) > 1 and len({(verdict.status, verdict.message) for verdict in bad}) == 1:
         return [(checked.status, name, rules, "", bad[0].message), *idle]
     return [(each.status, name, visible(each.rule), _seconds(each.time), each.message) for each in bad] + idle
-
-
-def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
-    """Print the rows as a table, on a terminal."""
-    from rich.console import Console
-
-    from carla_recap.output.terminal import TableColumn, print_table
-
-    columns = (
-        TableColumn("", style=_STYLES.__getitem__),
-        TableColumn("Recording", narrowed="middle"),
-        TableColumn("Rule"),
-        TableColumn("Time", is_number=True),
-        TableColumn("What happens", narrowed="words"),
-    )
-    print_table(Console(), columns, rows)
 
 
 def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any]:

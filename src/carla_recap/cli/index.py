@@ -69,9 +69,7 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
     def watched(outcomes: Iterable[T], count: int) -> Iterator[T]:
         nonlocal bar
         with SourcesBar("indexing", count) as bar:
-            for outcome in outcomes:
-                yield outcome
-                bar.advance()
+            yield from bar.counted(outcomes)
 
     def report(error: str) -> None:
         with bar.aside():

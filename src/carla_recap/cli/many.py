@@ -6,12 +6,12 @@ import os
 import re
 import signal
 import sys
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
 from carla_recap.cli.opening import opened
 from carla_recap.cli.output import (
@@ -28,14 +28,15 @@ from carla_recap.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
 
     from distributed import Client
 
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.answers import Form, Query, RecordingAnswer
-    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.sources import SourceFile
+
+T = TypeVar("T")
 
 _PAGE: Final = 200  # rows of a table
 _INTERVAL: Final = 0.5  # s after which what is known is printed
@@ -52,15 +53,24 @@ class SourcesRequest:
     dask: str | None  # the address of a Dask scheduler; None: processes of this machine read them
 
     @contextmanager
-    def opened(self, title: str) -> Iterator[tuple[Iterable[SourceFile], Processes, SourcesBar]]:
-        """Yield the recordings, which processes read them, and a progress bar.
+    def reading(self, title: str, read: Callable[..., Generator[T]]) -> Iterator[tuple[Iterator[T], Messages]]:
+        """Yield what a function of `fleet` makes of the recordings and of which processes read them, and what prints errors.
 
-        Signals end the `with` block; see `watched`, too.
+        A progress bar counts what is made. Signals end the `with` block. A source that means no recording is read, too, as
+        an error.
         """
+        from carla_recap.cli.progress import SourcesBar
+        from carla_recap.fleet.sources import find_sources
+
         with cluster(self.dask) as client:
-            found, bar = watched(self.sources, title)
-            with bar:
-                yield found, {"jobs": self.jobs, "client": client}, bar
+            found: Iterable[SourceFile] = find_sources(self.sources, errors="yield")
+            if SourcesBar.is_shown():
+                found = list(found)  # whose number the bar needs
+            with (
+                SourcesBar(title, len(found) if isinstance(found, list) else None) as bar,
+                closing(read(found, jobs=self.jobs, client=client)) as outcomes,
+            ):
+                yield bar.counted(outcomes), Messages(bar)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,16 +96,13 @@ class QueryRequest(SourcesRequest):
             show(query(opened(self.sources[0])), self.form, self.max_rows, warned)
         from carla_recap.fleet.answers import answers
 
-        with ExitStack() as stack:
-            found, processes, bar = stack.enter_context(self.opened("reading"))
-            given = stack.enter_context(closing(answers(query, self.shape, found, **processes)))
-            try:
-                failed, too_many = _print(given, self.shape, bar, self.max_rows)
-            except BrokenPipeError:
-                stack.close()
-                _end_as_by_a_closed_pipe()
-                raise
-        end(failed=failed, unmet=too_many)
+        try:
+            with self.reading("reading", partial(answers, query, self.shape)) as (given, messages):
+                too_many = _print(given, self.shape, messages, self.max_rows)
+        except BrokenPipeError:
+            _end_as_by_a_closed_pipe()
+            raise
+        end(failed=messages.failed, unmet=too_many)
 
 
 def is_one(source: str) -> bool:
@@ -122,45 +129,30 @@ def cluster(address: str | None) -> Iterator[Client | None]:
             yield client
 
 
-def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], SourcesBar]:
-    """Return the recordings that some sources mean, those of a list on stdin for `-`, and a progress bar for them.
-
-    What means no recording is among them, with its error.
-    """
-    from carla_recap.cli.progress import SourcesBar
-    from carla_recap.fleet.sources import find_sources
-
-    found: Iterable[SourceFile] = find_sources(sources, errors="yield")
-    if not SourcesBar.is_shown():
-        return found, SourcesBar(title, None)
-    found = list(found)  # whose number the bar needs
-    return found, SourcesBar(title, len(found))
-
-
-def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> tuple[int, bool]:
-    """Print answers; return the number of errors, and whether there are more rows than allowed."""
-    printer, messages, rows = _PRINTERS[form](bar), Messages(bar), 0
+def _print(given: Iterable[RecordingAnswer], form: str, messages: Messages, max_rows: int | None) -> bool:
+    """Print answers and errors; return whether there are more rows than allowed."""
+    printer, rows = _PRINTERS[form](messages.bar), 0
     for each in given:
         printer.add(each)
         messages.add(each.source.location, each.warnings, each.error)
         rows += each.rows
-        bar.advance()
-    bar.close()
+    messages.bar.close()
     printer.end()
     messages.end()
-    return messages.failed, is_too_many(rows, max_rows)
+    return is_too_many(rows, max_rows)
 
 
 class Messages:
     """Prints errors and warnings about recordings, a line each; that maps are unknown, once for all recordings.
 
     Attributes:
+        bar: The progress bar, beside which they are printed.
         failed: The number of errors.
     """
 
     def __init__(self, bar: SourcesBar) -> None:
+        self.bar = bar
         self.failed = 0
-        self._bar = bar
         self._without_map: dict[str, list[str]] = {}
 
     def add(self, location: str, warnings: Iterable[str], error: str | None = None) -> None:
@@ -172,11 +164,11 @@ class Messages:
             if name := unknown_map(message):
                 self._without_map.setdefault(name, []).append(said)
             else:
-                with self._bar.aside():
+                with self.bar.aside():
                     warn(said)
         if error is not None:
             self.failed += 1
-            with self._bar.aside():
+            with self.bar.aside():
                 fail(_with_location(re.sub(PYTHON_HINT, "", error), location))
 
     def end(self) -> None:

@@ -125,6 +125,12 @@ class SourcesBar:
         if self._bar is not None:
             self._bar.advance(self._task)
 
+    def counted(self, items: Iterable[T]) -> Iterator[T]:
+        """Yield items, and count each when it has been taken in."""
+        for item in items:
+            yield item
+            self.advance()
+
     @contextmanager
     def aside(self) -> Iterator[None]:
         """Remove the bar from the terminal in a `with` block, which prints."""

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import shlex
 import sys
-from contextlib import ExitStack, closing
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import Messages, SourcesRequest
+from carla_recap.cli.many import SourcesRequest
 from carla_recap.cli.output import end, fail, print_json, print_pieces, wrote
 from carla_recap.cli.parameter_types import FOLLOW, PERCENT
+from carla_recap.output.terminal import TableColumn, print_table
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.model.lives import ActorName
@@ -131,14 +132,10 @@ def score(
     if junit:
         prepare_junit(junit)
     outcomes: list[Outcome[Score]] = []
-    with ExitStack() as stack:
-        found, processes, bar = stack.enter_context(request.opened("scoring"))
-        scored = score_sources(found, routes, wanted, route_id=route_id, **processes)
-        given = stack.enter_context(closing(scored))
-        messages = Messages(bar)
-        for outcome in given:
+    score_each = partial(score_sources, routes=routes, options=wanted, route_id=route_id)
+    with request.reading("scoring", score_each) as (scored, messages):
+        for outcome in scored:
             outcomes.append(outcome)
-            bar.advance()
             messages.add(outcome.source.location, outcome.warnings, outcome.error)
         messages.end()
     _show([outcome.value for outcome in outcomes if outcome.value is not None], form)
@@ -242,14 +239,9 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
     if form is None and sys.stdout.isatty():
         from rich.console import Console
 
-        from carla_recap.output.terminal import TableColumn, print_table
-
-        numbers = {"Score", "Completion (%)", "Penalty", "Duration (s)", "Efficiency (%)", "Smoothness (%)"}
-        columns = [TableColumn(name, is_number=name in numbers, **_LOOKS.get(name, {})) for name in _HEADINGS]
-        print_table(Console(), columns, rows)
+        print_table(Console(), _COLUMNS, rows)
         return
-    click.echo("\t".join(_HEADINGS))
-    for row in rows:
+    for row in (tuple(column.heading for column in _COLUMNS), *rows):
         click.echo("\t".join(row))
 
 
@@ -257,19 +249,19 @@ def _percent(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-_HEADINGS: Final = (
-    *("Recording", "Route", "Score", "Completion (%)", "Penalty", "Duration (s)", "Status", "Infractions"),
-    *("Success", "Efficiency (%)", "Smoothness (%)"),
+_COLUMNS: Final = (
+    TableColumn("Recording", narrowed="middle"),
+    TableColumn("Route"),
+    TableColumn("Score", is_number=True),
+    TableColumn("Completion (%)", is_number=True),
+    TableColumn("Penalty", is_number=True),
+    TableColumn("Duration (s)", is_number=True, rank=2),
+    TableColumn("Status", narrowed="end", rank=1),
+    TableColumn("Infractions", narrowed="words"),
+    TableColumn("Success", rank=3),
+    TableColumn("Efficiency (%)", is_number=True, rank=4),
+    TableColumn("Smoothness (%)", is_number=True, rank=4),
 )
-_LOOKS: Final[Mapping[str, Any]] = {
-    "Recording": {"narrowed": "middle"},
-    "Status": {"narrowed": "end", "rank": 1},
-    "Infractions": {"narrowed": "words"},
-    "Duration (s)": {"rank": 2},
-    "Success": {"rank": 3},
-    "Efficiency (%)": {"rank": 4},
-    "Smoothness (%)": {"rank": 4},
-}
 
 
 def _counts(score: Score) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,19 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import Messages, SourcesRequest, is_one
+from carla_recap.cli.many import SourcesRequest, is_one
 from carla_recap.cli.output import counted, end, not_written, note, wrote
 from carla_recap.util.files import size_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping
+    from collections.abc import Callable, Generator, Mapping
 
     from carla_recap.exports import ExportFormat
     from carla_recap.fleet.datasets import WritePart
     from carla_recap.fleet.destinations import Write
-    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.outcomes import Outcome, WrittenFile
-    from carla_recap.fleet.sources import SourceFile
 
 _options = options.together(
     click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1),
@@ -97,11 +94,7 @@ class WriteRequest(SourcesRequest):
         models = models_directory()
         write = write if models is None else partial(_with_models, models, write)
         folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)
-
-        def outcomes(found: Iterable[SourceFile], processes: Processes) -> Generator[Outcome[WrittenFile]]:
-            return write_files(write, found, folder, **processes)
-
-        self._run(outcomes, title, folder.skipped, _say)
+        self._run(partial(write_files, write, folder=folder), title, folder.skipped, _say)
 
     def write_dataset(self, write: WritePart, form: ExportFormat, split: Mapping[str, float] | None) -> None:
         """Write a dataset of all recordings, and say so; end the program with exit code 2 if one fails."""
@@ -112,19 +105,17 @@ class WriteRequest(SourcesRequest):
         write = write if models is None else partial(_with_models, models, write)
         parts: list[WrittenFile] = []
 
-        def outcomes(found: Iterable[SourceFile], processes: Processes) -> Generator[Outcome[WrittenFile]]:
-            return write_dataset(write, found, self.destination, form, split=split, force=self.force, **processes)
-
         def say() -> None:
             frames, seconds = sum(part.frames or 0 for part in parts), sum(part.seconds or 0.0 for part in parts)
             about = counted(len(parts), "recording")
             wrote(self.destination, about, frames=frames, seconds=seconds, size=size_of(self.destination))
 
-        self._run(outcomes, "sensing", [], parts.append, say)
+        written = partial(write_dataset, write, folder=self.destination, form=form, split=split, force=self.force)
+        self._run(written, "sensing", [], parts.append, say)
 
     def _run(
         self,
-        write: Callable[[Iterable[SourceFile], Processes], Generator[Outcome[WrittenFile]]],
+        write: Callable[..., Generator[Outcome[WrittenFile]]],
         title: str,
         skipped: list[str],
         take: Callable[[WrittenFile], object],
@@ -135,8 +126,7 @@ class WriteRequest(SourcesRequest):
         `take` is called with what is written of each, and `finish` when all is; the files that are skipped grow meanwhile.
         """
         written, failed, hints = 0, list[dict[str, str]](), dict[str, None]()
-        with self.opened(title) as (found, processes, bar), closing(write(found, processes)) as outcomes:
-            messages = Messages(bar)
+        with self.reading(title, write) as (outcomes, messages):
             for outcome in outcomes:
                 messages.add(outcome.source.location, outcome.warnings, outcome.error)
                 if outcome.value is None:
@@ -144,9 +134,8 @@ class WriteRequest(SourcesRequest):
                 else:
                     written += 1
                     hints |= dict.fromkeys(outcome.value.hints)
-                    with bar.aside():
+                    with messages.bar.aside():
                         take(outcome.value)
-                bar.advance()
         messages.end()
         finish()
         for hint in hints:
