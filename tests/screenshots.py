@@ -7,8 +7,8 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.errors import RecapError
-from carla_recap.show import viewer
-from carla_recap.show.viewer import GRPC_PORT, HOST, RerunViewer
+from carla_recap.show.rerun import viewer
+from carla_recap.show.rerun.viewer import GRPC_PORT, HOST, RerunViewer
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:

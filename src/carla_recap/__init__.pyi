@@ -84,7 +84,7 @@ from carla_recap.show.clips import clips as clips
 from carla_recap.show.foxglove import export_foxglove as export_foxglove
 from carla_recap.show.foxglove.sensed import export_sensed as export_sensed
 from carla_recap.show.page import write_report as write_report
-from carla_recap.show.rrd import export_rerun as export_rerun
+from carla_recap.show.rerun.export import export_rerun as export_rerun
 from carla_recap.show.video import export_video as export_video
 from carla_recap.show.video import picture as picture
 from carla_recap.show.video import snapshot as snapshot

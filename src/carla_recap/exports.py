@@ -62,7 +62,7 @@ class ExportFormat(NamedTuple):
 FORMATS: Final[Mapping[str, ExportFormat]] = {
     row.name: row
     for row in (
-        ExportFormat("rerun", ".rrd", "what Rerun's viewer shows", "show.rrd:export_rerun", "rerun"),
+        ExportFormat("rerun", ".rrd", "what Rerun's viewer shows", "show.rerun.export:export_rerun", "rerun"),
         ExportFormat(
             *("foxglove", ".mcap", "what Foxglove and Lichtblick show", "show.foxglove:export_foxglove", "foxglove"),
             hints="show.foxglove:layout_hints",

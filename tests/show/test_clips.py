@@ -12,8 +12,8 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.records import Spawn
 from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.roads import RoadMap
-from carla_recap.show import rrd
 from carla_recap.show.clips import IncidentClip, clips
+from carla_recap.show.rerun import export as rrd
 from tests.samples import CROSSING, images, names_in, save
 
 
@@ -92,7 +92,7 @@ def test_the_followed_actor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: dict[int, dict[str, Any]], followed: int | None
 ) -> None:
     """The first actor of the incident that is present; else the one that the player chooses."""
-    pytest.importorskip("carla_recap.show.rerun")
+    pytest.importorskip("rerun")
     path, asked, roads = tmp_path / "own.log", [], RoadMap("Town01", [], [], [], [], [])
 
     def export(source: Any, destination: Path, *, follow: int | None, road_map: RoadMap, incidents: Any) -> None:

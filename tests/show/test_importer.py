@@ -20,14 +20,14 @@ from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from carla_recap import convert
-from carla_recap.show.importer import FAILED, NOT_OURS
+from carla_recap.show.rerun.importer import FAILED, NOT_OURS
 from tests.samples import log_header, save
 from tests.screenshots import ScreenshotTaker
 from tests.show.conftest import SAMPLE
 from tests.waiting import PATIENCE, time_limit
 
 NAME = "rerun-importer-carla-recap"
-RUN = "import sys; from carla_recap.show.importer import main; main()"
+RUN = "import sys; from carla_recap.show.rerun.importer import main; main()"
 
 
 def run(path: Path | str, *options: str, **environment: str) -> subprocess.CompletedProcess[bytes]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gc
 import os
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -16,6 +18,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.model.frame import Frame, Header
 from tests.replay.scripts import pose, spawn, write
+from tests.samples import SAMPLES
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
@@ -25,8 +28,10 @@ from rerun.chunk import RrdReader
 
 from carla_recap.show.foxglove.messages import SceneUpdate
 from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
-from carla_recap.show.rerun import LiveView, bodies, live_blueprint
-from carla_recap.show.rerun.sinks import Rrd, piped
+from carla_recap.show.rerun import bodies
+from carla_recap.show.rerun.blueprint import live_blueprint
+from carla_recap.show.rerun.sinks import APPLICATION, RrdFile, send_blueprint
+from carla_recap.show.rerun.writer import LiveView
 
 ACTORS: Final = int(os.environ.get("COMING_AND_GOING", "160"))
 """The number of actors that come and go."""
@@ -93,18 +98,20 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
         monkeypatch.setattr(bodies, "MOST_BOXES", 5 * PRESENT)
         monkeypatch.setattr(bodies, "MOST_MODELS", 4 * PRESENT)
     sizes, memory, threads = [], [], []
-    with Rrd(live_blueprint()) as rrd:
-        view = LiveView(rrd.stream, header, "test")
+    stream = rr.RecordingStream(APPLICATION, send_properties=False)
+    written = rr.binary_stream(stream)
+    send_blueprint(live_blueprint(), stream)
+    view = LiveView(stream, header, "test")
 
-        def take() -> bytes:
-            view.flush()
-            return rrd.take()
+    def take() -> bytes:
+        view.flush()
+        return written.read(flush_timeout_sec=60)
 
-        for data, used in parts_of(traffic, view.enter, take):
-            sizes.append(len(data))
-            memory.append(used)
-            threads.append(psutil.Process().num_threads())
-        view.close()  # warns of nothing
+    for data, used in parts_of(traffic, view.enter, take):
+        sizes.append(len(data))
+        memory.append(used)
+        threads.append(psutil.Process().num_threads())
+    view.close()  # warns of nothing
     (tmp_path / "last.rrd").write_bytes(data)
     drawn: dict[str, set[str]] = {}
     for chunk in RrdReader(tmp_path / "last.rrd").stream().to_chunks():
@@ -115,17 +122,27 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
     assert max(threads[1:]) <= threads[0]  # each other actor that is followed has another blueprint
 
 
-def test_a_live_file_has_no_index_that_grows_in_memory() -> None:
+def test_a_live_file_has_no_index_that_grows_in_memory(tmp_path: Path) -> None:
     def size(*, live: bool) -> int:
-        data: list[bytes] = []
-        with piped(live_blueprint(), data.append, live=live) as stream:
+        path = tmp_path / f"{live}.rrd"
+        with RrdFile(path, live_blueprint(), live=live) as file:
             for number in range(200):
-                stream.set_time("frame", sequence=number)
-                stream.log(f"/{number}", rr.Scalars(number))
-                stream.flush()
-        return sum(map(len, data))
+                file.stream.set_time("frame", sequence=number)
+                file.stream.log(f"/{number}", rr.Scalars(number))
+                file.stream.flush()
+        return path.stat().st_size
 
     assert size(live=True) < 0.7 * size(live=False)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sizes of files are limited by POSIX")
+def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path) -> None:
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)); "
+    command = "from carla_recap.__main__ import main; main()"
+    run = [sys.executable, "-c", limited + command, "-q", "export", SAMPLES / "crossing.log", tmp_path / "x.rrd"]
+    done = subprocess.run(run, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (2, f"carla-recap: {tmp_path}/x.rrd: cannot be written: File too large\n")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.usefixtures("traced")

@@ -24,8 +24,10 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 
 from carla_recap.scene.materials import MATERIALS, Material
-from carla_recap.show.rerun import APPLICATION, blueprint, bodies, meshes, stream, writer
-from carla_recap.show.rrd import export_rerun
+from carla_recap.show.rerun import bodies, meshes, stream, writer
+from carla_recap.show.rerun.blueprint import blueprint
+from carla_recap.show.rerun.export import export_rerun
+from carla_recap.show.rerun.sinks import APPLICATION
 from tests.show.rerun_reader import Arrangement, Rrd
 
 HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing

@@ -29,7 +29,7 @@ from tests.show.page.conftest import WITHOUT_ROADS, data
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from carla_recap.show.rerun.entities import EVENTS, LIGHT_AHEAD, PEDALS
-from carla_recap.show.rrd import export_rerun
+from carla_recap.show.rerun.export import export_rerun
 from tests.show.foxglove_reader import corners, latest, read, seen, xyz
 from tests.show.rerun_reader import Rrd
 

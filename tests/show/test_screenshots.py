@@ -14,7 +14,7 @@ import psutil
 from PIL import Image
 
 from carla_recap.errors import RecapError
-from carla_recap.show import viewer
+from carla_recap.show.rerun import viewer
 from tests.screenshots import ScreenshotTaker
 from tests.waiting import time_limit
 

@@ -18,7 +18,7 @@ import psutil
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
-from carla_recap.show.viewer import view
+from carla_recap.show.rerun.viewer import view
 from tests.screenshots import ScreenshotTaker
 from tests.show.conftest import SAMPLE
 from tests.waiting import PATIENCE, time_limit, wait_until
@@ -26,7 +26,7 @@ from tests.waiting import PATIENCE, time_limit, wait_until
 SERVE = """
 import sys
 from carla_recap import open_recording
-from carla_recap.show.viewer import view
+from carla_recap.show.rerun.viewer import view
 with open_recording(sys.argv[1]) as recording:
     view(recording, web=True, web_port=int(sys.argv[2]), start=20, duration=6, ready=lambda url: print(url, flush=True))
 """

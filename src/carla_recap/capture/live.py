@@ -7,7 +7,6 @@ second, and leaves out the others.
 from __future__ import annotations
 
 import math
-import os
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,9 +19,9 @@ from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.roads import RoadMap, load_map
-from carla_recap.show.viewer import GRPC_PORT, RerunViewer, has_display
-from carla_recap.show.viewer import HOST as LOOPBACK
-from carla_recap.util.files import WholeFile
+from carla_recap.show.rerun import check_rerun
+from carla_recap.show.rerun.viewer import GRPC_PORT, RerunViewer, has_display
+from carla_recap.show.rerun.viewer import HOST as LOOPBACK
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -32,7 +31,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Header
     from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
-    from carla_recap.show.rerun import LiveView, View
+    from carla_recap.show.rerun.blueprint import View
+    from carla_recap.show.rerun.writer import LiveView
 
 RATE: Final = 30.0
 """The most ticks that are shown in a second of real time."""
@@ -125,8 +125,7 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
 
         with FoxgloveServer("", foxglove_port):
             return
-    _import_rerun()
-
+    check_rerun()
     if to is None:
         if not has_display():
             raise RecapError("there is no display for the Rerun viewer; an .rrd can be written instead")
@@ -135,17 +134,6 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
         if Path(to).suffix.lower() != _SUFFIX:
             raise RecapError(f"{to}: an .rrd, or the address of a viewer, {_ADDRESS}://..., was expected")
         check_free(to, force=force)
-
-
-def _import_rerun() -> None:
-    """Import Rerun, if it is installed, so that it does not warn of an .rrd without an index."""
-    given = os.environ.get("RUST_LOG")
-    os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")  # is read once
-    try:
-        import carla_recap.show.rerun  # noqa: F401
-    finally:
-        if given is None:
-            del os.environ["RUST_LOG"]
 
 
 @contextmanager
@@ -164,7 +152,9 @@ def _in_rerun(
     to: Path | str | None, header: Header, source: str, follow: Follow, view: View, road_map: RoadMap | None
 ) -> Iterator[tuple[LiveView, Callable[[], bool]]]:
     """Open Rerun's viewer or a file; yield what shows frames, and a function that returns whether it is still open."""
-    from carla_recap.show.rerun import LiveView, live_blueprint, piped, sent
+    from carla_recap.show.rerun.blueprint import live_blueprint
+    from carla_recap.show.rerun.sinks import RrdFile, sent
+    from carla_recap.show.rerun.writer import LiveView
 
     arrangement = live_blueprint(road_map, view=view)
     with ExitStack() as stack:
@@ -176,8 +166,7 @@ def _in_rerun(
         elif str(to).startswith(_ADDRESS):
             stream = stack.enter_context(sent(arrangement, str(to)))
         else:
-            file = stack.enter_context(WholeFile(to, live=True))
-            stream = stack.enter_context(piped(arrangement, file.write, live=True))
+            stream = stack.enter_context(RrdFile(to, arrangement, live=True)).stream
         yield LiveView(stream, header, source, follow=follow, view=view, road_map=road_map), is_open
 
 

@@ -81,7 +81,7 @@ def diff(
 
 def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, force: bool) -> None:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.show.rrd import export_rerun
+    from carla_recap.show.rerun.export import export_rerun
 
     roads = opening.road_map_of(a, road_map)
     played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))

@@ -229,7 +229,7 @@ def view(
     with opening.opened_part(source, shown) as (recording, part):
         roads = opening.road_map_of(recording, road_map, part["start"], part["duration"])
         if port is None:
-            from carla_recap.show.viewer import view as open_viewer
+            from carla_recap.show.rerun.viewer import view as open_viewer
             from carla_recap.tables.arrow import spare_pandas
 
             spare_pandas()

@@ -90,14 +90,16 @@ def clips(
         MissingExtra: `rerun` is true, and Rerun is not installed; or `video` is, and what it needs is not installed.
     """
     if rerun is not False:
+        from carla_recap.show.rerun import check_rerun
+        from carla_recap.show.rerun.export import export_rerun
+
         try:
-            import carla_recap.show.rerun  # noqa: F401  # first of all: it may be missing
+            check_rerun()  # first of all: it may be missing
         except MissingExtra:
             if rerun:
                 raise
         else:
             rerun = True
-            from carla_recap.show.rrd import export_rerun
     if video:
         from carla_recap.show.video import export_video
         from carla_recap.show.video.encoding import check_packages

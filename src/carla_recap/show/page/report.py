@@ -310,7 +310,7 @@ def _write_pictures(reported: Iterable[_Reported], folder: Path) -> list[dict[in
 
 def _add_viewer(recording: Recording, folder: Path, road_map: RoadMap | None) -> None:
     """Write Rerun's viewer, a recording for it, and a blueprint for each actor that it can follow, into a new folder."""
-    from carla_recap.show.rrd import export_rerun
+    from carla_recap.show.rerun.export import export_rerun
 
     folder.mkdir()
     copy_files(viewer_folder() / "page" / "rerun", folder)
@@ -322,7 +322,7 @@ def _copy_viewer(folder: Path) -> None:
     """Copy the web viewer from Rerun's own server."""
     from urllib.request import ProxyHandler, build_opener  # which imports much
 
-    from carla_recap.show.viewer import HOST, WEB_PORT, RerunViewer
+    from carla_recap.show.rerun.viewer import HOST, WEB_PORT, RerunViewer
 
     opener = build_opener(ProxyHandler({}))
     with RerunViewer("--serve-web", "--web-viewer-port", "0") as process:

@@ -87,31 +87,41 @@ def _may_be_ours(path: Path) -> bool:
 def _import(arguments: Namespace) -> None:
     from carla_recap.recording import open_recording
     from carla_recap.replay import Player
-    from carla_recap.show.rerun import APPLICATION, Rrd, blueprint, write
+    from carla_recap.show.rerun import check_rerun
     from carla_recap.tables.arrow import spare_pandas
 
     spare_pandas()
+    check_rerun()
+    import rerun as rr
+
+    from carla_recap.show.rerun.blueprint import blueprint
+    from carla_recap.show.rerun.sinks import APPLICATION, send_blueprint
+    from carla_recap.show.rerun.writer import write
+
     with open_recording(arguments.file) as recording:
         player = Player(recording)
         road_map = _road_map(recording.header)
         application = arguments.application_id or APPLICATION
-        with Rrd(blueprint(player), application=application, recording_id=arguments.recording_id) as rrd:
+        stream = rr.RecordingStream(application, recording_id=arguments.recording_id, send_properties=False)
+        written = rr.binary_stream(stream)  # `stream.stdout()` never returns if nothing can be written there
+        send_blueprint(blueprint(player), stream)
 
-            def sending(scenes: Iterable[Scene], _: Player) -> Iterator[Scene]:
-                for count, scene in enumerate(scenes, 1):
-                    yield scene
-                    if count % PART == 0:
-                        _send(rrd.take())
+        def sending(scenes: Iterable[Scene], _: Player) -> Iterator[Scene]:
+            for count, scene in enumerate(scenes, 1):
+                yield scene
+                if count % PART == 0:
+                    _send(written.read())
 
-            write(rrd.stream, player, road_map=road_map, progress=sending)
-            _send(rrd.take())
+        write(stream, player, road_map=road_map, progress=sending)
+        stream.disconnect()
+        _send(written.read())
 
 
-def _send(data: bytes) -> None:
+def _send(data: bytes | None) -> None:
     if sys.stdout is None:
         raise RecapError("stdout: is closed; the recording is written there")
     try:
-        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.write(data or b"")
         sys.stdout.buffer.flush()
     except OSError as error:
         raise RecapError(f"stdout: cannot be written: {error.strerror}") from None

@@ -10,7 +10,8 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
-from carla_recap.util.files import WholeFile, check_folder, new_folder
+from carla_recap.show.rerun import check_rerun
+from carla_recap.util.files import check_folder, new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,9 +65,10 @@ def export_rerun(
         RecapError: There is no such actor or time, or the destination cannot be written.
         FormatError: The file contradicts its format.
     """
+    check_rerun()
     from carla_recap.show.rerun.blueprint import blueprint, sizes_of
     from carla_recap.show.rerun.ghosts import write_ghosts
-    from carla_recap.show.rerun.sinks import piped, rbl
+    from carla_recap.show.rerun.sinks import RrdFile, save_blueprint
     from carla_recap.show.rerun.writer import filmed, write
 
     reader = source.reader if isinstance(source, Recording) else source
@@ -81,20 +83,19 @@ def export_rerun(
     cameras_of, sizes = ([], None) if cameras is None else (filmed(player), sizes_of(player))
     with (
         nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
-        WholeFile(destination, force=force) as file,
+        RrdFile(destination, blueprint(player, view=view, sizes=sizes, verdicts=bool(verdicts)), force=force) as file,
     ):
-        with piped(blueprint(player, view=view, sizes=sizes, verdicts=bool(verdicts)), file.write) as stream:
-            played = write(
-                stream,
-                player,
-                road_map=road_map,
-                incidents=incidents,
-                verdicts=verdicts,
-                progress=progress,
-                cameras=cameras_of,
-            )
-            if other is not None:
-                write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
+        played = write(
+            file.stream,
+            player,
+            road_map=road_map,
+            incidents=incidents,
+            verdicts=verdicts,
+            progress=progress,
+            cameras=cameras_of,
+        )
+        if other is not None:
+            write_ghosts(file.stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in cameras_of:
-            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id, sizes=sizes)))
+            save_blueprint(blueprint(player, view=view, followed=id, sizes=sizes), folder / f"follow_{id}.rbl")
     return played

@@ -16,7 +16,7 @@ from urllib.parse import urlencode
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.recording import Recording
 from carla_recap.replay.follow import find_followed
-from carla_recap.show.rrd import export_rerun
+from carla_recap.show.rerun.export import export_rerun
 from carla_recap.util.processes import terminate
 from carla_recap.util.signals import unwind_on_termination
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
-    from carla_recap.show.rerun import View
+    from carla_recap.show.rerun.blueprint import View
 
     T = TypeVar("T")
 
