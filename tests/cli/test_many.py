@@ -19,7 +19,7 @@ from carla_recap.queries.summary import summary
 from carla_recap.roads import find_map
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line
 from tests.samples import warnings_ignored
-from tests.waiting import PATIENCE, time_limit, wait_until
+from tests.waiting import PATIENCE, is_running, time_limit, wait_until
 
 CRASH = CROSSING.with_name("crash.mcap")
 MAP = {"measures": ("--map", find_map("Brickfield"))}  # else a warning says that the map is unknown
@@ -205,13 +205,6 @@ def test_names_cannot_control_a_terminal_or_break_a_line(whole):
 
 
 # --- how it ends -------------------------------------------------------------------------------------------
-
-
-def is_running(process: int) -> bool:
-    try:
-        return "zombie" not in Path(f"/proc/{process}/status").read_text()
-    except OSError:
-        return False
 
 
 def children(process: int) -> list[int]:

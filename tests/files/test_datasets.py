@@ -10,7 +10,7 @@ import math
 import subprocess
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +21,11 @@ from carla_recap.files import nuscenes
 from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
 from carla_recap.sensors.ray_sensors import DETECTION
-from carla_recap.sensors.sensing import Sample, sense
+from carla_recap.sensors.sensing import Sample, SensedFrame, sense
 from tests.files.readers import kitti_calibration, kitti_labels, size_of
 from tests.samples import ROOT
 from tests.sensors.cars import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from carla_recap.sensors.sensing import SensedFrame
 
 DEVKIT = ROOT / "build" / "nuscenes" / "bin" / "python"
 PLACE = {"x": 2.0, "y": 0.0, "z": CAMERA_HEIGHT}

@@ -6,11 +6,11 @@ import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import CancelledError
-from contextlib import suppress
+from collections.abc import Iterator
+from concurrent.futures import CancelledError, Future
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import psutil
@@ -22,13 +22,7 @@ from carla_recap.rendering.camera import DrawnView
 from carla_recap.rendering.process import RenderProcess, RenderProcessNotStarted
 from carla_recap.util.child import ChildEnded
 from tests.rendering.shapes import ALL, MODELS, PLANE, RGB, boxes, camera, create
-from tests.waiting import PATIENCE, wait_until
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from concurrent.futures import Future
-
-    from carla_recap.rendering.camera import Images
+from tests.waiting import PATIENCE, is_running, wait_until
 
 BOXES = boxes((10, 0, 2), (15, 4, 1))
 
@@ -100,7 +94,7 @@ def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: R
     assert process.pid not in (pid, None)
 
 
-def submit_two(process: RenderProcess) -> list[Future[list[Images]]]:
+def submit_two(process: RenderProcess) -> list[Future[Any]]:
     """Submit two pictures to a process that is stopped, and return once both are sent."""
     futures = [process.submit([DrawnView(replace(camera(), width=width))], BOXES) for width in (32, 64)]
     wait_until(lambda: all(future.running() for future in futures))
@@ -180,13 +174,7 @@ def test_the_process_ends_with_its_parent(driver: None) -> None:
     with parent:
         pid = int(parent.stdout.readline())
         parent.kill()
-    wait_until(lambda: not _is_running(pid))
-
-
-def _is_running(pid: int) -> bool:
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
+    wait_until(lambda: not is_running(pid))
 
 
 def test_missing_moderngl_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

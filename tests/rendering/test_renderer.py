@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.buffers import Halos
@@ -33,13 +34,6 @@ from tests.rendering.shapes import (
     shape,
     square,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from carla_recap.rendering.camera import Camera
 
 
 @pytest.fixture(scope="module")

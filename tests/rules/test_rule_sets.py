@@ -202,20 +202,6 @@ def test_a_failure_has_the_time_the_actors_and_all_offences():
     )
 
 
-def test_verdicts_are_in_the_order_of_the_rules():
-    rules = load_rules(SAMPLES / "rules.toml")
-    with open_recording(SAMPLES / "crash.mcap") as recording:
-        found = check(recording, rules)
-    assert [each.rule for each in found] == [rule.name for rule in rules]
-    assert [each.rule for each in found if each.status == "fail"] == [
-        "no-hero-collision",
-        "keeps-its-distance",
-        "no-long-stops",
-        "never-close-for-long",
-    ]
-    assert {each.status for each in found} == {"pass", "fail"}
-
-
 def test_a_rule_about_collisions_asks_a_web_server_once_and_baselines_can_be_there(web):
     text = '[rules.a]\ncollisions = { max = 9 }\n[rules.b]\nactors = { of = "hero", min = 1 }'
     with open_recording(f"{web.url}/crash.mcap") as recording:
@@ -292,7 +278,6 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
         ("[rules.a]\nduration = { min = 5, max = 4 }", "duration.min: expected no more than max, found 5 s"),
         ("[rules.a]\nmap = ''", "rule 'a': map: expected the name of a map or a list of names, found ''"),
         ("[rules.a]\njerk = { min = 3 }", "jerk: unknown key 'min'; the keys are of, max, during, after, until, where, "),
-        ("[rules.a]\nspeed = { min = 3, max = 2 }", "speed.min: expected no more than max, found 3 m/s"),
         ("[rules.a]\ntime_to_collision = { max = 1 }", "time_to_collision: unknown key 'max'; the keys are of, with, min, "),
         ("[rules.a]\npost_encroachment_time = { min = 1, for = 3 }", "unknown key 'for'; "),
         ("[rules.a]\nspeed = { max = '3 m' }", 'speed.max: expected a number in m/s, or a text such as "1.5 m/s"'),

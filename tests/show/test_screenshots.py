@@ -16,15 +16,7 @@ from PIL import Image
 from carla_recap.errors import RecapError
 from carla_recap.show.rerun import viewer
 from tests.screenshots import ScreenshotTaker
-from tests.waiting import time_limit
-
-
-def runs(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
+from tests.waiting import is_running, time_limit
 
 
 @pytest.fixture
@@ -87,4 +79,4 @@ def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
     with ScreenshotTaker(crossing_rrd) as screenshots:
         pid = screenshots._process.pid
         os.kill(pid, signal.SIGSTOP)
-    assert not runs(pid)
+    assert not is_running(pid)

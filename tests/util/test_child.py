@@ -7,21 +7,15 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from pathlib import Path
 from threading import Barrier
-from typing import TYPE_CHECKING
 from unittest.mock import Mock
 
-import psutil
+import pytest
 
 from carla_recap.util import child as child_module
 from carla_recap.util.child import started_ahead
-from tests.waiting import PATIENCE, wait_until
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    import pytest
+from tests.waiting import PATIENCE, is_running, wait_until
 
 CHILD = """
 import os, pathlib, time
@@ -80,15 +74,9 @@ def test_a_child_whose_parent_dies_during_a_request_ends_though_others_hold_its_
         assert parent.stdout is not None
         child, other = map(int, parent.stdout.readline().split())
     try:
-        wait_until(lambda: not _is_running(child))
+        wait_until(lambda: not is_running(child))
     finally:
         os.kill(other, signal.SIGKILL)
-
-
-def _is_running(pid: int) -> bool:
-    with suppress(psutil.NoSuchProcess):
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    return False
 
 
 def test_a_forked_process_has_no_child_of_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,9 @@ import base64
 import json
 import struct
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +18,8 @@ from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.replay import Player
 from carla_recap.show.page import write_report
-from carla_recap.show.page.samples import Sampler
+from carla_recap.show.page.samples import SampledReplay, Sampler
 from tests.replay.scripts import write
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from carla_recap.show.page.samples import SampledReplay
 
 CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"

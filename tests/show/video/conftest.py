@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 from carla_recap import open_recording
 from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.recording import Recording
+from carla_recap.rendering.process import RenderProcess
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.town.mesh import TownMesh
 from tests.samples import SAMPLES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from carla_recap.recording import Recording
-    from carla_recap.rendering.process import RenderProcess
 
 
 def striped_plane() -> TownMesh:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import io
 import subprocess
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+
+from carla_recap.recording import Recording
+from carla_recap.rendering.process import RenderProcess
 
 pytest.importorskip("PIL", reason="the extra `cameras` is not installed")
 
@@ -23,12 +27,6 @@ from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in
 from tests.show.video.conftest import SAMPLES
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from carla_recap.recording import Recording
-    from carla_recap.rendering.process import RenderProcess
 
 
 def pixels(data: bytes) -> Any:
