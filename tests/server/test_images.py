@@ -18,8 +18,8 @@ from carla_recap.scene.materials import Material, Tag
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import dispatch, surfaces
-from carla_recap.server.sensors.active_cameras import BlankImages, camera_at
-from carla_recap.server.sensors.images import ImagesUnavailable
+from carla_recap.server.sensors.active_cameras import camera_at
+from carla_recap.server.sensors.images import ImagesUnavailable, blank_images
 from carla_recap.server.sensors.surfaces import TownSurfaces
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Rotation, Transform
@@ -64,7 +64,7 @@ class Painter:
         if self.errors:
             raise self.errors.pop(0)
         self.views.append(view)
-        images = {kind: image.copy() for kind, image in BlankImages().draw(view).items()}
+        images = {kind: image.copy() for kind, image in blank_images(view).items()}
         if ImageKind.RGB in images:
             images[ImageKind.RGB][...] = len(self.views)
         return images

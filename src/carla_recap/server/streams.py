@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 
 from carla_recap.server.quirks import PendingSubscriptions
+from carla_recap.server.rpc.connection import PooledConnection
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -166,12 +167,12 @@ class SnapshotStreams:
             self._streams.keep(stream, payloads[release])
 
 
-class Subscriber(asyncio.Protocol):
+class Subscriber(PooledConnection):
     """A connection that gets the frames of a stream."""
 
     def __init__(self, streams: Streams) -> None:
+        super().__init__(streams.connections)
         self._streams = streams
-        self._transport: asyncio.Transport | None = None
         self._received = b""
         self._stream: int | None = None
         self._is_behind = False
@@ -181,20 +182,14 @@ class Subscriber(asyncio.Protocol):
         self._has_stalled = False
 
     @property
-    def has_spoken(self) -> bool:
-        """Whether it has sent the number of a stream."""
-        return self._stream is not None
-
-    @property
     def held(self) -> int:
         """The bytes that are kept for it."""
-        return 0 if self._transport is None else self._transport.get_write_buffer_size() + len(self._rest)
+        return super().held + (0 if self._transport is None else len(self._rest))
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
-        self._transport = cast("asyncio.Transport", transport)
-        self._transport.set_write_buffer_limits(high=_BACKLOG, low=0)
-        self._streams.connections.add(self)
+        super().connection_made(transport)
+        cast("asyncio.Transport", transport).set_write_buffer_limits(high=_BACKLOG, low=0)
 
     def data_received(self, data: bytes) -> None:
         """Read the number of the stream; close the connection if there is anything else."""
@@ -205,6 +200,7 @@ class Subscriber(asyncio.Protocol):
             return self.close()
         if len(self._received) == _ID.size:
             (self._stream,) = _ID.unpack(self._received)
+            self.has_spoken = True
             self._streams.add(self._stream, self)
         return None
 
@@ -212,7 +208,7 @@ class Subscriber(asyncio.Protocol):
         """See `asyncio.Protocol`."""
         self._transport = None
         self._release()
-        self._streams.connections.remove(self)
+        self._pool.remove(self)
         if self._stream is not None:
             self._streams.remove(self._stream, self)
 
@@ -253,7 +249,7 @@ class Subscriber(asyncio.Protocol):
     def pause_writing(self) -> None:
         """See `asyncio.Protocol`."""
         self._is_behind = True
-        self._streams.connections.check_memory()
+        self._pool.check_memory()
 
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
@@ -265,12 +261,3 @@ class Subscriber(asyncio.Protocol):
             self.send(frame)
         if not self._is_behind:
             self._release()
-
-    def refuse(self) -> None:
-        """Close the connection: there is no way to send an error."""
-        self.close()
-
-    def close(self) -> None:
-        """Close the connection."""
-        if self._transport is not None:
-            self._transport.abort()

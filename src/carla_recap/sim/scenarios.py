@@ -105,9 +105,6 @@ class Crash:
     The hero, which has a collision sensor, stands until `START`. Set the scenario up before any traffic is
     spawned.
 
-    Args:
-        world: The world.
-
     Attributes:
         hero: The car that hits the walker, then the van.
         walker: The walker, which steps onto the street in front of the hero.
@@ -171,9 +168,6 @@ class Blockage:
 
     All vehicles drive by autopilot; at `BREAKDOWN` the van stops with its hazard lights on and stays. The scenario has to be
     set up before any traffic is spawned.
-
-    Args:
-        world: The world.
 
     Attributes:
         van: The van that breaks down.

@@ -85,20 +85,15 @@ class Weather:
     """CARLA's weather parameters.
 
     Attributes:
-        cloudiness: 0 to 100.
-        precipitation: 0 to 100.
+        cloudiness, precipitation, wind_intensity, fog_density, wetness, dust_storm: 0 to 100.
         precipitation_deposits: Puddles, 0 to 100.
-        wind_intensity: 0 to 100.
         sun_azimuth_angle: 0 to 360 degrees.
         sun_altitude_angle: -90 (midnight) to 90 degrees (noon).
-        fog_density: 0 to 100.
         fog_distance: The distance at which fog begins, in m.
         fog_falloff: The rate at which fog thins out with height.
-        wetness: 0 to 100.
         scattering_intensity: The contribution of light to volumetric fog.
         mie_scattering_scale: The scattering of light by large particles.
         rayleigh_scattering_scale: The scattering of light by air.
-        dust_storm: 0 to 100.
     """
 
     cloudiness: float = 0.0

@@ -180,12 +180,11 @@ def test_a_world_that_writes_by_itself_goes_on_when_the_disk_fails(tmp_path: Pat
     broken_after(monkeypatch, 1, for_good=False)
     world = flat_world()
     world.recorder.start(tmp_path / "a.mcap", in_process=True)
-    with pytest.warns(RecapWarning, match="the recording has ended"):
+    with pytest.warns(RecapWarning, match="the recording has ended"), world:
         world.run(20)
     assert "no space" in str(world.recorder.error).lower()
     with pytest.warns(RecapWarning, match="was recovered without its events"):
         assert frames(tmp_path / "a.mcap") < 400
-    world.close()
 
 
 def test_a_world_that_writes_by_itself_needs_a_folder(tmp_path: Path) -> None:

@@ -45,22 +45,32 @@ _LONGEST_ARRAY: Final = 1 << 14  # items: memory is allocated for them before th
 _BUFFER: Final = 1 << 10  # bytes, at first
 
 
-class PooledConnection(Protocol):
-    """A connection as the pool sees it."""
+class PooledConnection(asyncio.Protocol):
+    """A connection as the pool sees it; `has_spoken` is whether it has sent a call, or the number of a stream."""
 
-    @property
-    def has_spoken(self) -> bool:
-        """Whether it has sent a call, or the number of a stream."""
+    def __init__(self, pool: ConnectionPool) -> None:
+        self.has_spoken = False
+        self._pool = pool
+        self._transport: asyncio.Transport | None = None
 
     @property
     def held(self) -> int:
         """The bytes that are kept for it."""
+        return 0 if self._transport is None else self._transport.get_write_buffer_size()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """See `asyncio.Protocol`."""
+        self._transport = cast("asyncio.Transport", transport)
+        self._pool.add(self)
 
     def refuse(self) -> None:
-        """Report that there are too many connections, and close."""
+        """Close the connection, since there are too many, and say so where possible."""
+        self.close()
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection at once."""
+        if self._transport is not None:
+            self._transport.abort()
 
 
 class ConnectionPool:
@@ -131,8 +141,8 @@ class CallContext(Protocol):
         """Release everything when the connection is closed."""
 
 
-class ClientConnection(asyncio.Protocol):
-    """A connection over which a client makes calls; `has_spoken` is whether it has made one.
+class ClientConnection(PooledConnection):
+    """A connection over which a client makes calls.
 
     Reading pauses while the client does not read its replies or has many calls pending. The calls that arrived before a
     client left are served: the last call of a script is often to stop the recorder, and no script waits for its reply.
@@ -144,13 +154,11 @@ class ClientConnection(asyncio.Protocol):
         pool: ConnectionPool,
         open_context: Callable[[ClientConnection], CallContext],
     ) -> None:
+        super().__init__(pool)
         self._logged = 0
-        self.has_spoken = False
         self._calls = calls
-        self._pool = pool
         self._open_context = open_context
         self._context: CallContext | None = None
-        self._transport: asyncio.Transport | None = None
         self._buffer = MessageBuffer()
         self._pending: set[asyncio.Future[Any]] = set()
         self._awaited: asyncio.Future[Any] | None = None
@@ -178,14 +186,12 @@ class ClientConnection(asyncio.Protocol):
     @property
     def held(self) -> int:
         """The bytes that are kept for it: of incomplete calls, and of replies that it has not read."""
-        unsent = 0 if self._transport is None else self._transport.get_write_buffer_size()
-        return len(self._buffer.part) + unsent
+        return len(self._buffer.part) + super().held
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
-        self._transport = cast("asyncio.Transport", transport)
+        super().connection_made(transport)
         self._context = self._open_context(self)
-        self._pool.add(self)
 
     def connection_lost(self, error: Exception | None) -> None:
         """See `asyncio.Protocol`."""
@@ -226,8 +232,7 @@ class ClientConnection(asyncio.Protocol):
     def close(self) -> None:
         """Close the connection at once."""
         self._is_closed = True
-        if self._transport is not None:
-            self._transport.abort()
+        super().close()
 
     def in_background(self, work: Awaitable[None]) -> None:
         """Run something after the current call; it is cancelled when the client leaves."""

@@ -13,7 +13,7 @@ from carla_recap.replay.pose import MIRROR
 from carla_recap.sensors.kinds import LARGEST_SIDE, NARROWEST, WIDEST
 from carla_recap.server.actor_records import release_of
 from carla_recap.server.sensors.feeds import axes, flag, number, row, warn_of
-from carla_recap.server.sensors.images import CameraScene, Shot, View
+from carla_recap.server.sensors.images import GREY, CameraScene, Shot, View
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -35,16 +35,6 @@ _SIDES: Final = ("image_size_x", "image_size_y")
 # width, height, field of view in degrees
 _HEADER: Final = struct.Struct("<IIf")
 
-# The bytes of each pixel: blue, green, red, alpha
-_GREY: Final = bytes((128, 128, 128, 255))
-_BLANK: Final[Mapping[ImageKind, bytes]] = {
-    ImageKind.RGB: _GREY,
-    ImageKind.DEPTH: bytes((255, 255, 255, 255)),  # depth is red + 256 green + 65536 blue; all set are 1,000 m
-    ImageKind.SEMANTIC: bytes((0, 0, 0, 255)),
-    ImageKind.INSTANCE: bytes((0, 0, 0, 255)),
-    ImageKind.NORMALS: _GREY,
-    ImageKind.FLOW: struct.pack("<2f", 0.0, 0.0),
-}
 _RED: Final = 2  # where the semantic tag is
 _EVENT: Final = np.dtype([("x", "<u2"), ("y", "<u2"), ("time", "<i8"), ("polarity", "?")])
 _LUMINANCE: Final = np.array([0.114, 0.587, 0.2989], np.float32)  # of blue, green and red
@@ -151,27 +141,11 @@ def camera_at(transform: Transform, width: int, height: int, fov: float) -> Came
     return Camera(width, height, fov, row(transform.location) * MIRROR, rotation)
 
 
-class BlankImages:
-    """Draws images without content."""
-
-    def draw(self, view: View) -> Mapping[ImageKind, Image]:
-        """See `ImageSource.draw`."""
-        return {kind: _blank(kind, view.scene.camera.width, view.scene.camera.height) for kind in view.kinds}
-
-    def close(self) -> None:
-        """See `ImageSource.close`."""
-
-
 def blank(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a camera whose images are grey."""
     width, height = (_side(sensor, key) for key in _SIDES)
-    frame = _HEADER.pack(width, height, _fov(sensor)) + _GREY * (width * height)
+    frame = _HEADER.pack(width, height, _fov(sensor)) + GREY * (width * height)
     return lambda: (frame,)
-
-
-def _blank(kind: ImageKind, width: int, height: int) -> Image:
-    dtype = np.float32 if kind is ImageKind.FLOW else np.uint8
-    return np.frombuffer(_BLANK[kind] * (width * height), dtype).reshape(height, width, -1)
 
 
 def _side(sensor: Actor, key: str) -> int:

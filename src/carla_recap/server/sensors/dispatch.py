@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property, partial
@@ -21,7 +20,7 @@ from carla_recap.server.protocol.releases import Labels
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.server.sensors import active_cameras, feeds, rays
-from carla_recap.server.sensors.active_cameras import BlankImages, Cameras
+from carla_recap.server.sensors.active_cameras import Cameras
 from carla_recap.server.sensors.feeds import FeedContext, number, silent
 from carla_recap.server.sensors.images import ImageThread
 from carla_recap.server.sensors.surfaces import DrawnImages, TownSurfaces
@@ -144,7 +143,7 @@ class Sensors:
         self._first_ticks: WeakKeyDictionary[Actor, float] = WeakKeyDictionary()
         self._radio = RadioChannel()
         self._surfaces = TownSurfaces()
-        self._images = ImageThread(streams, partial(DrawnImages, self._surfaces, quality), BlankImages())
+        self._images = ImageThread(streams, partial(DrawnImages, self._surfaces, quality))
         self._cameras = Cameras(world, self._images, self.instances)
         self._loading: list[Future[Any]] = []
 
@@ -182,13 +181,13 @@ class Sensors:
 
     async def loaded(self) -> None:
         """Wait until what sensors need is loaded, 1.5 s at most."""
-        if loading := [_end_of(work) for work in self._unloaded()]:
-            await asyncio.wait(loading, timeout=_SPAWN_PATIENCE)
+        if loading := self._unloaded():
+            await asyncio.wait([_end_of(loading)], timeout=_SPAWN_PATIENCE)
 
     def pending(self) -> list[asyncio.Future[Any]]:
         """Return what the next tick waits for, so that in synchronous mode no data are lost; not for longer than 0.8 s."""
-        pending = [*self._images.pending(), *self._streams.behind(self._feeds)]
-        pending += [_end_of(work) for work in self._unloaded()]
+        pending: list[asyncio.Future[Any]] = [*self._images.pending(), *self._streams.behind(self._feeds)]
+        pending += [_end_of(loading)] if (loading := self._unloaded()) else []
         return [asyncio.ensure_future(asyncio.wait(pending, timeout=_TICK_PATIENCE))] if pending else []
 
     def _unloaded(self) -> list[Future[Any]]:
@@ -292,18 +291,6 @@ def _static(tag: int) -> ActorRecord:
     return ActorRecord(0, 0, description, BoxStruct(Location(), Vector()), Labels(bytes((tag,))), b"")
 
 
-def _end_of(work: Future[Any]) -> asyncio.Future[None]:
-    """Return a future that is done when some work in a thread is, also if that has failed."""
-    loop = asyncio.get_running_loop()
-    done: asyncio.Future[None] = loop.create_future()
-
-    def end() -> None:
-        if not done.done():
-            done.set_result(None)
-
-    def tell(_: object) -> None:
-        with suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(end)
-
-    work.add_done_callback(tell)
-    return done
+def _end_of(loading: list[Future[Any]]) -> asyncio.Future[Any]:
+    """Return a future that is done when work in threads is, also if that has failed."""
+    return asyncio.gather(*map(asyncio.wrap_future, loading), return_exceptions=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import struct
 from collections import Counter
 from concurrent.futures import Future
 from contextlib import suppress
@@ -13,15 +14,18 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
+import numpy as np
+
 from carla_recap.errors import RecapError
+from carla_recap.rendering.camera import ImageKind
 from carla_recap.server.streams import framed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.camera import Camera, ImageKind
+    from carla_recap.rendering.camera import Camera
     from carla_recap.scene.instances import Instances
     from carla_recap.server.streams import Streams
     from carla_recap.sim.settings import Weather
@@ -36,6 +40,17 @@ _POLL: Final = 0.1  # s
 _TRIES: Final = 2  # of drawing an image
 _MOST_FAILURES: Final = 3  # of images of a size in succession
 _LARGE: Final = 4_000_000  # pixels: what has drawn a larger image keeps much memory
+
+# The bytes of each pixel: blue, green, red, alpha
+GREY: Final = bytes((128, 128, 128, 255))
+_BLANK: Final[Mapping[ImageKind, bytes]] = {
+    ImageKind.RGB: GREY,
+    ImageKind.DEPTH: bytes((255, 255, 255, 255)),  # depth is red + 256 green + 65536 blue; all set are 1,000 m
+    ImageKind.SEMANTIC: bytes((0, 0, 0, 255)),
+    ImageKind.INSTANCE: bytes((0, 0, 0, 255)),
+    ImageKind.NORMALS: GREY,
+    ImageKind.FLOW: struct.pack("<2f", 0.0, 0.0),
+}
 
 
 class ImagesUnavailable(RecapError):
@@ -90,26 +105,25 @@ class ImageSource(Protocol):
         """Release everything."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Tick:
-    """The views of a tick."""
-
-    town: Town
-    views: Sequence[View]
-    loop: asyncio.AbstractEventLoop
-    keeps_all: bool
+def blank_images(view: View) -> Mapping[ImageKind, Image]:
+    """Return images without content."""
+    width, height = view.scene.camera.width, view.scene.camera.height
+    images = {kind: np.frombuffer(_BLANK[kind] * (width * height), np.uint8) for kind in view.kinds}
+    return {
+        kind: image.view(np.float32 if kind is ImageKind.FLOW else np.uint8).reshape(height, width, -1)
+        for kind, image in images.items()
+    }
 
 
 class ImageThread:
     """Draws images and sends them, while the world goes on.
 
-    A source of the images of a town that cannot be opened is replaced by the blank one.
+    Images of a town whose source cannot be opened are blank.
     """
 
-    def __init__(self, streams: Streams, open_source: Callable[[Town], ImageSource], blank: ImageSource) -> None:
+    def __init__(self, streams: Streams, open_source: Callable[[Town], ImageSource]) -> None:
         self._streams = streams
         self._open = open_source
-        self._blank = blank
         self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread: Thread | None = None
         self._town: Town | None = None
@@ -138,7 +152,7 @@ class ImageThread:
         """Close what has drawn large images, after those of earlier ticks; it is opened again for the next image."""
         if self._largest > _LARGE:
             self._largest, self._opened = 0, None
-            self._put(partial(self._replace, None))
+            self._put(self._close_source)
 
     def pending(self) -> list[asyncio.Future[None]]:
         """Return what the next tick waits for, so that images keep up with it."""
@@ -153,7 +167,7 @@ class ImageThread:
 
         If all are kept, subscribers that are behind are waited for, so that they miss no image.
         """
-        if self._put(partial(self._draw_tick, _Tick(town, views, loop, keeps_all))):
+        if self._put(partial(self._draw_tick, town, views, loop, keeps_all=keeps_all)):
             self._pending += 1
             self._largest = max(self._largest, *(view.scene.camera.width * view.scene.camera.height for view in views))
 
@@ -177,19 +191,18 @@ class ImageThread:
     def _run(self) -> None:
         while (work := self._work.get()) is not None and not self._is_closed:
             work()
-        if self._source is not None:
-            self._source.close()
+        self._close_source()
 
     def _prepare(self, town: Town, opened: Future[None]) -> None:
         self._source_of(town)
         opened.set_result(None)
 
-    def _draw_tick(self, tick: _Tick) -> None:
-        for view in tick.views:
+    def _draw_tick(self, town: Town, views: Sequence[View], loop: asyncio.AbstractEventLoop, *, keeps_all: bool) -> None:
+        for view in views:
             if self._streams.has_subscribers(shot.stream for shot in view.shots):
-                self._deliver(tick, self._frames(tick.town, view))
+                self._deliver(self._send(self._frames(town, view), keeps_all=keeps_all), loop)
         with suppress(RuntimeError):  # the loop has ended
-            tick.loop.call_soon_threadsafe(self._done)
+            loop.call_soon_threadsafe(self._done)
 
     def _frames(self, town: Town, view: View) -> list[tuple[int, bytes | memoryview]]:
         """Return the frames of a view and their streams."""
@@ -207,7 +220,7 @@ class ImageThread:
         size = view.scene.camera.width, view.scene.camera.height
         source = self._source_of(town)
         for _ in range(_TRIES):
-            if self._failures[size] >= _MOST_FAILURES:
+            if source is None or self._failures[size] >= _MOST_FAILURES:
                 break
             try:
                 images = source.draw(view)
@@ -223,7 +236,7 @@ class ImageThread:
                     self._is_failing = False
                     _LOG.warning("images are drawn again")
                 return images
-        return self._blank.draw(view)
+        return blank_images(view)
 
     def _log_failure(self, size: tuple[int, int], error: Exception) -> None:
         """Log that an image could not be drawn, unless the same is true of the one before."""
@@ -234,10 +247,10 @@ class ImageThread:
             _LOG.error("an image of %d x %d pixels cannot be drawn: %s", *size, _text(error))
             self._is_failing = True
 
-    def _source_of(self, town: Town) -> ImageSource:
-        """Return what draws a town: another one than for the town before."""
-        if self._source is None or town is not self._town:
-            self._replace(None)
+    def _source_of(self, town: Town) -> ImageSource | None:
+        """Return what draws a town, another one than for the town before; None if it cannot be opened."""
+        if town is not self._town:
+            self._close_source()
             self._town = town
             self._failures.clear()
             self._is_failing = False
@@ -245,18 +258,17 @@ class ImageThread:
                 self._source = self._open(town)
             except Exception as error:
                 _LOG.warning("cameras are blank: %s", _text(error))
-                self._source = self._blank
         return self._source
 
-    def _replace(self, source: ImageSource | None) -> None:
-        old, self._source = self._source, source
-        if old is not None and old is not source:
+    def _close_source(self) -> None:
+        old, self._source, self._town = self._source, None, None
+        if old is not None:
             with suppress(Exception):  # it may be broken
                 old.close()
 
-    def _deliver(self, tick: _Tick, frames: list[tuple[int, bytes | memoryview]]) -> None:
+    def _deliver(self, sending: Coroutine[Any, Any, None], loop: asyncio.AbstractEventLoop) -> None:
         """Send frames in the event loop; wait until they are sent if none may be missed."""
-        sent = asyncio.run_coroutine_threadsafe(self._send(frames, keeps_all=tick.keeps_all), tick.loop)
+        sent = asyncio.run_coroutine_threadsafe(sending, loop)
         while not self._is_closed and not sent.done():
             with suppress(TimeoutError):
                 sent.result(_POLL)

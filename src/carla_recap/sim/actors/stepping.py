@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.physics.plane import BodyContact
+    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.sim.physics.walkers import Walkers
 
 _STRIDE: Final = 1.0  # m that the fastest vehicle covers in a step at most
 _ROUNDING: Final = 1e-6
@@ -37,7 +39,7 @@ class ActorMotion:
         """Move all vehicles and walkers for a tick of a length in s, and return their collisions."""
         vehicles, walkers, plane = self._episode.vehicles, self._episode.walkers, self._episode.plane
         self._collisions.clear()
-        groups = [group for group in (vehicles, walkers) if len(group)]
+        groups: list[Vehicles | Walkers] = [group for group in (vehicles, walkers) if len(group)]
         moving = [group.begin_tick(delta) for group in groups]
         if any(moving) or plane.disturbed:
             steps = self._steps(delta)
@@ -85,7 +87,7 @@ class CollisionDetector:
         self._number = 0
 
     def clear(self) -> None:
-        """Forget what a tick has left that failed."""
+        """Begin a tick; one before that failed may have left something."""
         self._pushes.clear()
         self._watched.clear()
 
@@ -100,7 +102,7 @@ class CollisionDetector:
             self._pushed(b, a, (-x, -y), contact.point)
 
     def take(self) -> list[Collision]:
-        """Return the collisions of the tick, in the order in which they began, and begin the next one."""
+        """Return the collisions of the tick, in the order in which they began."""
         return [self._collision(pair, push) for pair, push in self._pushes.items()]
 
     def _pushed(

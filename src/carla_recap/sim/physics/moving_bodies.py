@@ -152,22 +152,6 @@ class MovingBodies(StructOfArrays):
         self.unsettled[rows] = falls
         return near
 
-    def begin_tick(self, seconds: float) -> bool:
-        """Begin a tick, and return whether any of them moves, or is about to."""
-        raise NotImplementedError
-
-    def write_velocities(self, seconds: float) -> None:
-        """Set the velocities of the bodies for the next step."""
-        raise NotImplementedError
-
-    def read_bodies(self) -> None:
-        """Read the poses and velocities of the bodies after a step."""
-        raise NotImplementedError
-
-    def end_tick(self, seconds: float) -> None:
-        """End a tick: set the heights and the velocities of those that moved."""
-        raise NotImplementedError
-
     def _accelerate(self, seconds: float) -> None:
         """Set the accelerations of those that forces move, at the end of a tick; a replay sets those that it moves."""
         free = self.simulated

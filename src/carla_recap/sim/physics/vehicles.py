@@ -134,7 +134,10 @@ class Vehicles(Drivetrains):
         return np.minimum(np.maximum(throttle, 0), 1), np.minimum(np.maximum(brake, 0), 1)
 
     def begin_tick(self, seconds: float) -> bool:
-        """See `MovingBodies.begin_tick`; vehicles steer, and the autopilot's are driven for all of the tick."""
+        """Begin a tick: vehicles steer, and the autopilot's are driven for all of it.
+
+        Return whether any of them moves, or is about to.
+        """
         if not self.sticky.all():  # some controls held for the latest tick alone
             released = ~self.sticky & ~self.controlled
             for values in (self.throttle, self.steer, self.brake, self.hand_brake, self.reverse, self.manual):
@@ -179,7 +182,7 @@ class Vehicles(Drivetrains):
         self.sideways += cos * change[:, 1] - sin * change[:, 0]
 
     def write_velocities(self, seconds: float) -> None:
-        """See `MovingBodies.write_velocities`."""
+        """Set the velocities of the bodies for the next step."""
         driven = self.simulated & (self.autopilot | self.awake)
         self._drive(driven & ~self.autopilot, seconds, exactly=True)
         np.copyto(self.brake_input, self.brake, where=~driven)
@@ -192,7 +195,7 @@ class Vehicles(Drivetrains):
         self.awake = in_motion
 
     def read_bodies(self) -> None:
-        """See `MovingBodies.read_bodies`."""
+        """Read the poses and velocities of the bodies after a step."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = same_everywhere(states[moving, :2])
@@ -209,7 +212,7 @@ class Vehicles(Drivetrains):
         self._moved |= self.awake
 
     def end_tick(self, seconds: float) -> None:
-        """See `MovingBodies.end_tick`."""
+        """End a tick: set the heights and the velocities of those that moved."""
         rows = self._moved.nonzero()[0]
         if not len(rows):
             self.acceleration[self.simulated] = 0

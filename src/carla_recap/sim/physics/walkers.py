@@ -48,7 +48,7 @@ class Walkers(MovingBodies):
         return ~np.isnan(self.destination[:, 0])
 
     def begin_tick(self, seconds: float) -> bool:
-        """See `MovingBodies.begin_tick`."""
+        """See `Vehicles.begin_tick`."""
         self._before = self.velocity.copy()
         self._walking = self.simulated & ~self.fallen & (self.speed > _STILL)
         moving = self._walking | self.slide.any(axis=1) & self.simulated
@@ -56,7 +56,7 @@ class Walkers(MovingBodies):
         return bool(moving.any())
 
     def write_velocities(self, seconds: float) -> None:
-        """See `MovingBodies.write_velocities`."""
+        """See `Vehicles.write_velocities`."""
         walking = self._walking & ~self.fallen
         speed = np.hypot(*self.slide.T)
         slower = np.maximum(speed - _SLIDING * seconds, 0) / np.maximum(speed, _STILL)
@@ -66,7 +66,7 @@ class Walkers(MovingBodies):
         self.slide = velocities
 
     def read_bodies(self) -> None:
-        """See `MovingBodies.read_bodies`."""
+        """See `Vehicles.read_bodies`."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
         self.position[moving, :2] = states[moving, :2]
@@ -98,7 +98,7 @@ class Walkers(MovingBodies):
         self.plane.set_touching(self.bodies[row], WALKER, False)
 
     def end_tick(self, seconds: float) -> None:
-        """See `MovingBodies.end_tick`."""
+        """See `Vehicles.end_tick`."""
         moved = self._moved
         if not moved.any():
             self.acceleration[self.simulated] = 0

@@ -284,15 +284,7 @@ def shift_poses(
 
 
 class AutopilotState(NamedTuple):
-    """The vehicles that the autopilot drives, with their drivers and routes.
-
-    Attributes:
-        cars: The driven vehicles at the beginning of a step, in the order of their drivers.
-        drivers: The drivers.
-        routes: Their routes.
-        network: The lanes.
-        vehicles: All vehicles.
-    """
+    """The driven vehicles at the beginning of a step, with their drivers, routes and lanes; and all vehicles."""
 
     cars: DrivenVehicles
     drivers: Drivers
