@@ -55,7 +55,7 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
 )
 @click.option("--town", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--duration", type=NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns.")
-@click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
+@options.additional_data
 @click.option("--again", is_flag=True, help="Make recordings anew that another function, code, town or duration has made.")
 @click.option("--keep-going", is_flag=True, help="Go on when as many runs in a row as there are workers have failed.")
 @click.option(

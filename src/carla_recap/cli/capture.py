@@ -16,14 +16,6 @@ if TYPE_CHECKING:
     from carla_recap.sensors.rig import SensorRig
 
 
-_follow = click.option(
-    "--follow",
-    type=FOLLOW,
-    default="hero",
-    show_default=True,
-    metavar="ID|hero",
-    help="The actor to follow; without a hero, one that moves.",
-)
 _server = options.together(
     click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="The server's address."),
     click.option("--port", type=click.IntRange(1, 65535), default=2000, show_default=True, help="Its port."),
@@ -40,7 +32,7 @@ _server = options.together(
     metavar="S",
     help="Simulated s to record; else until Ctrl-C.",
 )
-@click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
+@options.additional_data
 @options.rig("Spawn the sensors of this JSON file, and record what they send.")
 @options.carrier
 @click.option("--sensors", type=click.Choice(["existing"]), help="Record what the sensors send that are there already.")
@@ -94,7 +86,14 @@ def _layouts(path: str) -> list[str]:
 @click.option(
     "--to", metavar="FILE|URL", help="Write an .rrd, or send to the viewer at rerun+http://...; else one is opened."
 )
-@_follow
+@click.option(
+    "--follow",
+    type=FOLLOW,
+    default="hero",
+    show_default=True,
+    metavar="ID|hero",
+    help="The actor to follow; without a hero, one that moves.",
+)
 @options.camera
 @options.models
 @options.foxglove

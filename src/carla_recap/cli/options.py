@@ -86,6 +86,7 @@ dask = click.option("--dask", metavar="ADDRESS", help="Read many recordings on t
 source = click.argument("source", type=click.Path(), metavar="SRC")
 destination = click.argument("destination", type=click.Path(), metavar="DST")
 folder = click.argument("folder", type=click.Path(), metavar="DIR")
+additional_data = click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 force = click.option("--force", is_flag=True, help="Overwrite what exists.")
 json = form("json", "Print JSON.")
 csv = form("csv", "Print CSV.")

@@ -33,7 +33,6 @@ _seed = click.option(
     metavar="K",
     help="The same seed, the same bytes, dated 2026-01-01 10:00 UTC or $SOURCE_DATE_EPOCH; else seed 0, dated now.",
 )
-_additional_data = click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 
 
 @click.command()
@@ -47,7 +46,7 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 @click.option("--crash", is_flag=True, help="Add a crash: the hero hits a walker, then a van that blocks its lane.")
 @click.option("--blocked", is_flag=True, help="Add a breakdown: a van stops; the hero and others queue behind it.")
 @_seed
-@_additional_data
+@options.additional_data
 @options.force
 @options.written
 def record(
@@ -94,7 +93,7 @@ def record(
     "--then", type=NUMBER, default=10, show_default=True, metavar="S", help="How long to go on by autopilot, in s."
 )
 @click.option("--ignore-hero", is_flag=True, help="Leave the hero out.")
-@_additional_data
+@options.additional_data
 @options.force
 @options.written
 def replay(
