@@ -97,10 +97,6 @@ def test_a_closed_line_is_not_joined_to_itself():
     assert [joined.tolist() for joined in join([closed])] == [closed.tolist()]
 
 
-def test_no_lines_are_joined_to_none():
-    assert join([]) == []
-
-
 def test_the_outline_of_a_rectangle():
     (outline,) = Surface(grid((-20, 10), (5, 15))).outlines()
     assert outline[0].tolist() == outline[-1].tolist()

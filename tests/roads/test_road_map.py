@@ -19,12 +19,9 @@ from tests.samples import carla_log
 from tests.waiting import PATIENCE, time_limit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from carla_recap.roads import RoadMap
 
 TOWNS = ("Town01", "Town02", "Town10HD")
-KINDS = ("lane_borders", "centre_lines", "junctions", "crossings", "stop_lines")
 
 
 @cache
@@ -35,11 +32,6 @@ def carla_map(name: str) -> RoadMap:
 @pytest.fixture(params=TOWNS)
 def loaded(request) -> RoadMap:
     return carla_map(request.param)
-
-
-def lines_of(town: RoadMap) -> Iterator[np.ndarray]:
-    for kind in KINDS:
-        yield from getattr(town, kind)
 
 
 def dense(lines: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -58,14 +50,6 @@ def nearest(place: np.ndarray, points: np.ndarray) -> int:
 
 
 # --- CARLA's towns ---------------------------------------------------------------------------------------
-
-
-def test_junctions_are_closed_and_contain_centre_lines(loaded):
-    centres, _ = dense(loaded.centre_lines)
-    for outline in loaded.junctions:
-        assert outline[0].tolist() == outline[-1].tolist()
-        low, high = outline.min(axis=0), outline.max(axis=0)
-        assert ((centres[:, :2] > low[:2]) & (centres[:, :2] < high[:2])).all(axis=1).any()
 
 
 def test_stop_lines_lie_across_lanes_at_junctions(loaded):

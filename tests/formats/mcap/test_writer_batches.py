@@ -14,7 +14,7 @@ from carla_recap.formats import create_writer
 from carla_recap.formats.mcap import writer
 from carla_recap.formats.mcap.writer import has_template
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, packed
-from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.frame import Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, Framing
 from carla_recap.model.records import FRAME_END, ORDER, UE4
 
@@ -88,10 +88,3 @@ def test_numbers_of_another_size_are_written_all_the_same() -> None:
     frames.columns = [packed(controls.type, records) if column is controls else column for column in frames.columns]
     assert not has_template(frames)
     assert written([frames], at_once=True) == written([frames], at_once=False)
-
-
-def test_the_frames_of_a_batch_are_frames() -> None:
-    frames = list(batch(7, [0.05, 0.1], 3))
-    assert [(frame.index, frame.id, frame.elapsed) for frame in frames] == [(7, 8, 0.05), (8, 9, 0.1)]
-    assert all(isinstance(frame, Frame) and len(frame["transforms"]) == 3 for frame in frames)
-    assert frames[0].packets[-1] is END
