@@ -11,7 +11,6 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, Walke
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.settings import seeded_date
-from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car
 
@@ -78,32 +77,6 @@ def test_actors_of_the_town_cannot_be_destroyed() -> None:
         world.traffic_lights[0].destroy()
 
 
-def test_children_move_with_their_parent_and_are_destroyed_with_it() -> None:
-    world = flat_world()
-    car = vehicle(world)
-    camera = world.spawn("sensor.camera.rgb", at(1.0, 0.5, z=2.0), parent=car)
-    box = world.spawn("static.prop.box01", at(0.0, z=1.5), parent=camera)
-    car.transform = at(10.0, 20.0, yaw=90.0)
-    there = camera.transform
-    assert (there.location.x, there.location.y, there.location.z) == pytest.approx((9.5, 21.0, 2.0))
-    assert there.rotation.yaw == pytest.approx(90)
-    assert box.transform.location.z == pytest.approx(3.5)
-    assert camera.relative_transform == at(1.0, 0.5, z=2.0)
-    car.set_target_velocity(Vector(0.0, 3.0))
-    world.tick()
-    assert camera.velocity == car.velocity
-    assert world.events.parented == [(camera.id, car.id), (box.id, camera.id)]
-
-    camera_place = camera.transform
-    car.destroy()
-    assert not camera.is_alive
-    assert not box.is_alive
-    assert camera.transform == camera_place
-    assert list(world.actors) == [1]
-    world.tick()
-    assert world.events.destroyed == [box.id, camera.id, car.id]
-
-
 def test_the_events_of_a_tick_are_those_since_the_last_one() -> None:
     world = flat_world()
     car = vehicle(world)
@@ -168,21 +141,6 @@ def test_a_walker_walks_in_the_direction_of_its_control() -> None:
     walker.set_simulate_physics(False)
     world.run(1)
     assert (walker.velocity, walker.transform.location.y) == (Vector(), pytest.approx(-4.5))
-
-
-def test_signs_and_lights_of_the_town_are_actors() -> None:
-    stop, limit = light(1, (0,)), light(2, (0,))
-    object.__setattr__(stop, "kind", SignalKind.STOP)
-    object.__setattr__(limit, "kind", SignalKind.SPEED_LIMIT)
-    object.__setattr__(limit, "speed_limit", 50 / 3.6)
-    world = flat_world(signals=[light(0, (0,)), stop, limit])
-    kinds = {actor.type_id: actor.kind for actor in world.actors.values()}
-    assert kinds == {
-        "spectator": ActorKind.OTHER,
-        "traffic.traffic_light": ActorKind.TRAFFIC_LIGHT,
-        "traffic.stop": ActorKind.TRAFFIC_SIGN,
-        "traffic.speed_limit.50": ActorKind.TRAFFIC_SIGN,
-    }
 
 
 @pytest.mark.parametrize("number", [float("nan"), 1e39])

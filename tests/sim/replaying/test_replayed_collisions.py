@@ -101,13 +101,6 @@ def test_a_replay_that_starts_later_has_the_collisions_from_there_on(crash: tupl
     assert collisions(replayed(path, duration=1.0), 30) == {}
 
 
-def test_a_replay_that_is_started_again_has_them_again(crash: tuple[Path, dict[int, list[Collision]]]) -> None:
-    world = replayed(crash[0])
-    once = list(collisions(world, 90))
-    world.replay_file(crash[0])
-    assert list(collisions(world, 90)) == once
-
-
 def test_collisions_have_the_ids_of_the_world(crash: tuple[Path, dict[int, list[Collision]]]) -> None:
     world = flat_world()
     others = [world.spawn("static.prop.barrel", at(500.0 + 5 * number, 20.0)) for number in range(3)]
