@@ -462,6 +462,28 @@ def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_starting_again_completes_the_first(tmp_path: Path) -> None:
+    world = flat_world()
+    for name, ticks in (("a.log", 2), ("b.log", 3)):
+        world.start_recorder(tmp_path / name)
+        for _ in range(ticks):
+            world.tick()
+    assert len(frames(tmp_path / "a.log")) == 2
+    world.start_recorder(tmp_path / "b.log")
+    world.tick()
+    world.close()
+    assert len(frames(tmp_path / "b.log")) == 1
+
+
+def test_a_new_episode_completes_the_recording_and_can_be_recorded(tmp_path: Path) -> None:
+    world = flat_world()
+    world.start_recorder(tmp_path / "a.log")
+    world.tick()
+    world.reload()
+    assert len(frames(tmp_path / "a.log")) == 1
+    assert len(record(world, tmp_path / "b.log", 2)) == 2
+
+
 def test_a_forgotten_world_completes_the_recording(tmp_path: Path) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
