@@ -93,6 +93,18 @@ def test_sideways_it_never_pulls_more_than_its_tyres_hold() -> None:
         assert hypot(car.acceleration.x, car.acceleration.y) < 9.81 * 3.5
 
 
+def test_a_drawn_hand_brake_brakes_in_a_bend() -> None:
+    speeds = []
+    for drawn in (False, True):
+        world = flat_world()
+        car = vehicle(world, "audi.tt", y=100.0)
+        car.set_target_velocity(Vector(15.0))
+        car.apply_control(VehicleControl(steer=0.3, hand_brake=drawn))
+        world.run(1)
+        speeds.append(world.vehicles.speed[0])
+    assert speeds[1] < 0.5 * speeds[0]
+
+
 def test_the_hand_brake_holds_it_against_the_engine() -> None:
     world = flat_world()
     car = vehicle(world, "audi.a2")
