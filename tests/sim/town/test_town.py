@@ -241,6 +241,18 @@ def test_every_light_is_in_one_phase_of_its_junction(any_town: Town) -> None:
         assert {any_town.signals[light].junction for phase in junction.phases for light in phase} <= {junction.id}
 
 
+def test_numbers_of_signals() -> None:
+    counts = {name: [signal.kind.value for signal in loaded(name).signals] for name in NAMES}
+    assert {name: kinds.count("light") for name, kinds in counts.items()} == {
+        BUILT_IN: 17,
+        "Town01": 36,
+        "Town02": 24,
+        "Town10HD": 17,
+    }
+    assert (counts["Town10HD"].count("stop"), counts["Town10HD"].count("yield")) == (3, 1)
+    assert (counts[BUILT_IN].count("stop"), counts[BUILT_IN].count("yield")) == (1, 1)
+
+
 def test_lights_of_one_phase_never_let_two_streams_cross_of_which_none_turns(brickfield: Town) -> None:
     signalised = [junction for junction in brickfield.junctions if junction.phases]
     assert len(signalised) == 5
