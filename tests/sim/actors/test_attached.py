@@ -123,6 +123,8 @@ def test_a_chain_of_any_length_follows_and_is_destroyed_from_its_end() -> None:
     there = first.transform.transform(Location(15.0))
     assert astuple(parent.transform.location) == pytest.approx(astuple(there), abs=1e-6)
     assert (parent.velocity, parent.acceleration) == (first.velocity, first.acceleration)
+    last = parent.transform
     first.destroy()
     world.tick()
     assert world.events.destroyed == ids[::-1]
+    assert parent.transform == last
