@@ -11,6 +11,7 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, Walke
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.settings import seeded_date
+from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car
 
@@ -141,6 +142,21 @@ def test_a_walker_walks_in_the_direction_of_its_control() -> None:
     walker.set_simulate_physics(False)
     world.run(1)
     assert (walker.velocity, walker.transform.location.y) == (Vector(), pytest.approx(-4.5))
+
+
+def test_signs_and_lights_of_the_town_are_actors() -> None:
+    stop, limit = light(1, (0,)), light(2, (0,))
+    object.__setattr__(stop, "kind", SignalKind.STOP)
+    object.__setattr__(limit, "kind", SignalKind.SPEED_LIMIT)
+    object.__setattr__(limit, "speed_limit", 50 / 3.6)
+    world = flat_world(signals=[light(0, (0,)), stop, limit])
+    kinds = {actor.type_id: actor.kind for actor in world.actors.values()}
+    assert kinds == {
+        "spectator": ActorKind.OTHER,
+        "traffic.traffic_light": ActorKind.TRAFFIC_LIGHT,
+        "traffic.stop": ActorKind.TRAFFIC_SIGN,
+        "traffic.speed_limit.50": ActorKind.TRAFFIC_SIGN,
+    }
 
 
 @pytest.mark.parametrize("number", [float("nan"), 1e39])

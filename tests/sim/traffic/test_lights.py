@@ -100,6 +100,12 @@ def test_reset_restarts_the_cycle() -> None:
     assert shown(lights) == [GREEN, GREEN, RED]
 
 
+def test_group_and_lanes_of_a_light() -> None:
+    _, lights = crossing()
+    assert lights[1].group == lights
+    assert lights[1].affected_lanes == ((1, 95.0),)
+
+
 def test_the_state_of_a_lane_is_that_of_its_strictest_light() -> None:
     lanes = [lane(index, 10.0 * index) for index in range(4)]
     signals = [light(0, (0,), y=5.0), light(1, (0, 1), y=15.0)]
