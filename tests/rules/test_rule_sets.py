@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from carla_recap import ActorKind, Spawn, attributes, check, create_recording, l
 from carla_recap.errors import RecapError
 from carla_recap.queries.measures import MEASURES, SHORT_NAMES
 from carla_recap.rules.rule_sets import RulesError, make_rules, parse_rules
-from tests.samples import SAMPLES, carla_log, save, warnings_ignored
+from tests.samples import SAMPLES, carla_log, double, save, warnings_ignored
 from tests.waiting import PATIENCE, time_limit
 
 
@@ -297,6 +298,25 @@ def test_a_wrong_file_is_an_error_in_one_line_that_names_the_rule_and_what_was_e
     assert message in str(error.value)
     assert str(error.value).isprintable()
     assert len(str(error.value)) < 600
+
+
+@pytest.mark.parametrize("last", [math.inf, math.nan])
+def test_times_that_are_no_numbers_are_no_numbers_in_verdicts(tmp_path, last):
+    with create_recording(tmp_path / "a.log", map_name="Town01") as recorder:
+        for time in (0.0, 0.1, 0.2, 0.3, 0.4):
+            spawned = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id in (7, 8) if not time]
+            recorder.add_frame(time, spawned=spawned, transforms={"id": [7, 8], "x": [1000 * time, 900.0]})
+    data = (tmp_path / "a.log").read_bytes()
+    for time, damaged in ((0.2, math.inf), (0.3, math.inf), (0.4, last)):
+        data = data.replace(double(time), double(damaged))
+    save(tmp_path / "a.log", data)
+    rules = make_rules(duration={"max": "9 s"}, post_encroachment_time={"min": 1})
+    with open_recording(tmp_path / "a.log") as recording:
+        length, crossing = check(recording, rules)
+    assert (length.status, crossing.status) == ("fail", "pass")
+    assert (
+        length.message == f"the recording has {'inf s' if last == math.inf else 'an unknown length'} instead of at most 9 s"
+    )
 
 
 def test_a_file_that_cannot_be_read_is_an_error(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -130,6 +131,7 @@ class Size(Condition):
         value = extent.duration if self.unit == "s" else extent.frames
         written = self.bounds.written
         length = written.shown(value) if written.text else f"{number(value) if self.unit == 's' else value} {self.unit}"
+        length = "an unknown length" if math.isnan(value) else length
         return bounded(f"the recording has {length}", value, self.bounds, unit=self._unit)
 
     @property

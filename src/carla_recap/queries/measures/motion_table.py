@@ -110,7 +110,8 @@ class MotionTable:
     @cached_property
     def joined(self) -> Booleans:
         """Whether an actor is present in a frame and the next one without a break, (actors, frames - 1)."""
-        present, seconds = ~np.isnan(self.x), np.diff(self.time)
+        with np.errstate(invalid="ignore"):  # of times that are infinite
+            present, seconds = ~np.isnan(self.x), np.diff(self.time)
         return np.asarray(present[:, 1:] & present[:, :-1] & (seconds > 0) & (seconds <= LONGEST_STEP))
 
     @cached_property
