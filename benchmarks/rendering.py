@@ -28,7 +28,7 @@ def cameras(_: Subject) -> Iterator[Line]:
     four = (ImageKind.RGB, ImageKind.SEMANTIC, ImageKind.INSTANCE, ImageKind.DEPTH)
     town, actors, poses = crowded_town()
     times = {}
-    with Renderer(town) as renderer:
+    with Renderer(town.tiles) as renderer:
         for what, width, height, kinds, goal in (
             ("RGB", 800, 600, four[:1], 30),
             ("RGB, semantic, instance, depth", 800, 600, four, 18),

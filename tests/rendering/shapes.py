@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import Camera, ImageKind
@@ -17,18 +16,10 @@ from carla_recap.replay.pose import right_handed, rotations
 from carla_recap.scene.instances import Instances
 from carla_recap.scene.materials import Material, Tag
 from carla_recap.scene.mesh import Mesh
+from carla_recap.scene.models import Model
 
 ALL = tuple(ImageKind)
 RGB, DEPTH, SEMANTIC, INSTANCE, NORMALS, FLOW = ALL
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """A model."""
-
-    mesh: Mesh
-    pivots: NDArray[np.float32]
-    steered: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +51,9 @@ def cube(material: Material = Material.PAINT) -> Mesh:
     return Mesh.concatenate(sides)
 
 
-def shape(mesh: Mesh, *, steered: bool = False) -> Shape:
-    count = len(mesh.vertices)
-    return Shape(mesh, np.zeros((count, 2), np.float32), np.full(count, steered))
+def shape(mesh: Mesh, *, steered: bool = False) -> Model:
+    count, size = len(mesh.vertices), (2.0, 2.0, 2.0)
+    return Model("shape", mesh, np.full(count, steered), np.zeros((count, 2), np.float32), size, (0.0, 0.0, 0.0))
 
 
 def plate(material: Material) -> Mesh:
@@ -122,6 +113,6 @@ PLANE = Plane([square(x, y, 50) for x in range(-1000, 1000, 50) for y in range(-
 def create(town: Plane | None = PLANE, **options: object) -> Renderer:
     pytest.importorskip("moderngl", reason="moderngl is not installed")
     try:
-        return Renderer(town, models=MODELS, **options)  # type: ignore[arg-type]
+        return Renderer(town.tiles if town else (), models=MODELS, **options)  # type: ignore[arg-type]
     except RecapError as error:
         pytest.skip(str(error))

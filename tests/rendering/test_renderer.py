@@ -265,7 +265,7 @@ def test_what_lies_on_a_mark_of_a_collision_is_seen_from_above(renderer: Rendere
     mark = replace(boxes((0, 0, 0.03), half=(3, 3, 0.001)), ids=np.array([1], np.uint32), models=np.array([1], np.uint8))
     both = Instances(*(np.concatenate((getattr(body, name), getattr(mark, name))) for name in vars(body)))
     above = camera((0, 0, height), pitch=-90, fov=10)
-    with Renderer(PLANE, models=[shape(cube()), ring]) as with_ring:
+    with Renderer(PLANE.tiles, models=[shape(cube()), ring]) as with_ring:
         assert ids(with_ring.draw(above, both, [INSTANCE])[INSTANCE])[60, 80] == 0x1234
 
 
@@ -347,7 +347,7 @@ def test_images_of_impossible_sizes_are_refused(renderer: Renderer, width: int, 
 
 def test_an_unknown_quality_is_refused() -> None:
     with pytest.raises(RecapError, match="quality 'high'; one of low, epic was expected"):
-        Renderer(PLANE, quality="high")  # type: ignore[arg-type]
+        Renderer(PLANE.tiles, quality="high")  # type: ignore[arg-type]
 
 
 def test_a_kind_is_the_same_alone_and_with_others(renderer: Renderer) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.camera_view import CameraView
     from carla_recap.scene.instances import Instances
     from carla_recap.scene.mesh import Mesh
+    from carla_recap.scene.models import Model
     from carla_recap.util.arrays import Floats
 
 HALO: Final = np.dtype([("center", "4f4"), ("light", "3f4")])
@@ -28,34 +29,6 @@ _LEAST_HALO: Final = 0.0022  # the radius of the smallest halo, as a part of the
 _HALO_REACH: Final = 400.0  # m
 _CLOSED: Final = 0.1  # the length of the mean normal of a lamp below which it is a closed body
 _IN_FRONT: Final = 0.12  # m, of the lamp
-
-
-class TiledMesh(Protocol):
-    """What is drawn of a town: `carla_recap.town.mesh.TownMesh`."""
-
-    @property
-    def tiles(self) -> Sequence[Mesh]:
-        """The ground and what stands on it, in parts that are drawn where they are in view."""
-        ...
-
-
-class ModelShape(Protocol):
-    """What is drawn of a model: `carla_recap.scene.models.Model`."""
-
-    @property
-    def mesh(self) -> Mesh:
-        """The triangles, within -1 to 1 along each axis."""
-        ...
-
-    @property
-    def pivots(self) -> NDArray[np.float32]:
-        """The steering axis of each vertex: x and y, (vertices, 2)."""
-        ...
-
-    @property
-    def steered(self) -> NDArray[np.bool_]:
-        """Whether each vertex turns with the steering, (vertices,)."""
-        ...
 
 
 class ImageBuffers:
@@ -142,7 +115,7 @@ class GroundBuffers:
 class ModelBuffers:
     """A model, and the instances of it in view, as buffers."""
 
-    def __init__(self, context: Any, model: ModelShape) -> None:
+    def __init__(self, context: Any, model: Model) -> None:
         mesh = model.mesh
         vertices = np.zeros(len(mesh.vertices), shaders.MODEL_VERTEX)
         vertices["position"], vertices["normal"], vertices["material"] = mesh.vertices, mesh.normals, mesh.materials
@@ -238,7 +211,7 @@ def instance_table(seen: Instances, offsets: NDArray[np.float64]) -> NDArray[np.
 class Halos:
     """Makes the halos of the lit lamps of instances."""
 
-    def __init__(self, models: Sequence[ModelShape]) -> None:
+    def __init__(self, models: Sequence[Model]) -> None:
         self._models = models
         self._lamps: dict[int, tuple[NDArray[np.uint64], Floats, Floats, Floats, Floats]] = {}  # of those that were lit
 

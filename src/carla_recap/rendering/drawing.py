@@ -22,8 +22,8 @@ def _prepare(setup: DrawingSetup) -> Callable[[DrawnMoment], Callable[[], list[I
     """Return what returns what draws a moment."""
     models = MODELS if setup.loads_models else Models()
     for model in setup.models:
-        models.append(model)  # type: ignore[arg-type]  # which has all that is drawn
-    renderer = Renderer(setup.town, models=models, quality=setup.quality, supersampling=setup.supersampling)
+        models.append(model)
+    renderer = Renderer(setup.tiles, models=models, quality=setup.quality, supersampling=setup.supersampling)
 
     def draw(moment: DrawnMoment) -> list[Images]:
         return [

@@ -16,19 +16,18 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import check_quality
+from carla_recap.scene.models import own_models
 from carla_recap.util.child import Child, ChildEnded, new_child
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from carla_recap.rendering.buffers import ModelShape, TiledMesh
     from carla_recap.rendering.camera import DrawnView, Images, Quality
     from carla_recap.rendering.sky import Sky
     from carla_recap.scene.instances import Instances
     from carla_recap.scene.mesh import Mesh
+    from carla_recap.scene.models import Model
+    from carla_recap.town.mesh import TownMesh
 
 DRAWING: Final = ("carla_recap.rendering.drawing", "draws", 2)
 """The arguments of the `Child` that draws. It draws a picture, and finds the next one when that is done."""
@@ -36,39 +35,12 @@ _PAUSES: Final = (1.0, 60.0)  # s without a restart after the first one that was
 _SENT: Final = DRAWING[2]  # pictures that the process has at a time
 
 
-class Shape(NamedTuple):
-    """A model, without what else it is: to read it, the process need not make all models."""
-
-    mesh: Mesh
-    pivots: NDArray[np.float32]
-    steered: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, model: ModelShape) -> Shape:
-        """Return the shape of a model."""
-        return cls(model.mesh, model.pivots, model.steered)
-
-
-def own_shapes() -> list[Shape]:
-    """Return the models that users have added."""
-    from carla_recap.scene.models import own_models
-
-    return [Shape.of(model) for model in own_models()]
-
-
-class Tiles:
-    """The tiles of a town, without what else it has."""
-
-    def __init__(self, town: TiledMesh | None) -> None:
-        self.tiles = list(town.tiles) if town is not None else []
-
-
 class DrawingSetup(NamedTuple):
     """The first request to the process: the arguments of the renderer."""
 
-    town: Tiles
+    tiles: Sequence[Mesh]
     loads_models: bool  # whether it has the models of this package, before others
-    models: list[Shape]
+    models: Sequence[Model]
     quality: Quality
     supersampling: int | tuple[int, int] | None
 
@@ -109,9 +81,9 @@ class RenderProcess:
 
     def __init__(
         self,
-        town: TiledMesh | Callable[[], TiledMesh | None] | None = None,
+        town: TownMesh | Callable[[], TownMesh | None] | None = None,
         *,
-        models: Sequence[ModelShape] | None = None,
+        models: Sequence[Model] | None = None,
         quality: Quality = "epic",
         supersampling: int | tuple[int, int] | None = None,
     ) -> None:
@@ -119,8 +91,9 @@ class RenderProcess:
 
         @cache
         def setup() -> DrawingSetup:
-            shapes = own_shapes() if models is None else [Shape.of(model) for model in models]
-            return DrawingSetup(Tiles(town() if callable(town) else town), models is None, shapes, quality, supersampling)
+            drawn = own_models() if models is None else models
+            found = town() if callable(town) else town
+            return DrawingSetup(found.tiles if found else (), models is None, drawn, quality, supersampling)
 
         self._setup = setup
         self._jobs: SimpleQueue[_Job | None] = SimpleQueue()

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.buffers import ModelShape
     from carla_recap.scene.instances import Instances
+    from carla_recap.scene.models import Model
     from carla_recap.util.arrays import Floats, Integers
 
 
@@ -135,7 +135,7 @@ class RayScene:
         MissingExtra: Embree is not installed.
     """
 
-    def __init__(self, tiles: Sequence[Mesh], models: Sequence[ModelShape]) -> None:
+    def __init__(self, tiles: Sequence[Mesh], models: Sequence[Model]) -> None:
         self._device = _device()
         town = Mesh.concatenate(tiles)
         self._town = _RayShape(self._device, town) if len(town.triangles) else None

@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.buffers import ModelShape, TiledMesh
     from carla_recap.rendering.camera import Camera, Images, Quality
     from carla_recap.scene.instances import Instances
+    from carla_recap.scene.mesh import Mesh
+    from carla_recap.scene.models import Model
 
 LARGEST: Final = 8192
 """The largest width and height of an image, in pixels."""
@@ -64,7 +65,7 @@ class Renderer:
     """Draws images of a town and its actors.
 
     Args:
-        town: The town; None for none.
+        tiles: The tiles of the town, of which those in view are drawn.
         models: The models that instances refer to; by default, those of this package.
         quality: How RGB images are drawn.
         supersampling: The RGB image alone is drawn this many times as wide and high, and averaged: 1 to 4, for both or for
@@ -77,9 +78,9 @@ class Renderer:
 
     def __init__(
         self,
-        town: TiledMesh | None = None,
+        tiles: Sequence[Mesh] = (),
         *,
-        models: Sequence[ModelShape] | None = None,
+        models: Sequence[Model] | None = None,
         quality: Quality = "epic",
         supersampling: int | tuple[int, int] | None = None,
     ) -> None:
@@ -98,9 +99,9 @@ class Renderer:
         self._arrays: dict[Any, Any] = {}
         self._targets: OrderedDict[tuple[int, int], ImageBuffers] = OrderedDict()
         with self._context:
-            self._load(town, models)
+            self._load(tiles, models)
 
-    def _load(self, town: TiledMesh | None, models: Sequence[ModelShape]) -> None:
+    def _load(self, tiles: Sequence[Mesh], models: Sequence[Model]) -> None:
         make = self._context.buffer
         self._frame = make(reserve=shaders.FRAME.itemsize)
         self._materials = make(shaders.material_block().tobytes())
@@ -115,7 +116,7 @@ class Renderer:
         self._sky_map.filter = linear, linear
         self._sky_map.repeat_x = self._sky_map.repeat_y = False
         self._mapped_sky: Sky | None = None
-        self._ground = GroundBuffers(self._context, town.tiles if town is not None else ())
+        self._ground = GroundBuffers(self._context, tiles)
         self._lamps = Halos(models)
         self._halos = make(reserve=64 * HALO.itemsize, dynamic=True)
         self._shapes = models

@@ -6,7 +6,8 @@ import warnings
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.errors import RecapWarning
-from carla_recap.rendering.process import DRAWING, own_shapes
+from carla_recap.rendering.process import DRAWING
+from carla_recap.scene.models import own_models
 from carla_recap.util.child import new_child
 
 if TYPE_CHECKING:
@@ -15,9 +16,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.process import Shape
     from carla_recap.scene.instances import Instances
     from carla_recap.scene.mesh import Mesh
+    from carla_recap.scene.models import Model
     from carla_recap.sensors.rig import SensorSpec
     from carla_recap.util.arrays import Floats, Ids
 
@@ -43,7 +44,7 @@ class RaySetup(NamedTuple):
     """The first request to the process: what the rays meet, and the sensors."""
 
     tiles: Sequence[Mesh]
-    models: Sequence[Shape]  # of users, behind those of this package
+    models: Sequence[Model]  # of users, behind those of this package
     specs: Sequence[SensorSpec]
 
 
@@ -63,7 +64,7 @@ class RayProcess:
 
     def __init__(self, tiles: Sequence[Mesh], specs: Sequence[SensorSpec]) -> None:
         self._child = new_child(*RAYS)
-        self._child.send(RaySetup(tiles, own_shapes(), specs))
+        self._child.send(RaySetup(tiles, own_models(), specs))
 
     @property
     def pid(self) -> int:

@@ -43,7 +43,7 @@ class RaySensors:
 
     def __init__(self, setup: RaySetup) -> None:
         for model in setup.models:
-            MODELS.append(model)  # type: ignore[arg-type]  # which has all that rays meet
+            MODELS.append(model)
         self._scene = RayScene(setup.tiles, MODELS)
         self._said: list[str] = []
         self._sensors = {spec.id: _SENSORS[spec.kind](spec, self._said.append) for spec in setup.specs}
