@@ -18,7 +18,7 @@ from carla_recap.scene.materials import LAMPS, MATERIALS, Material
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.followed import CameraAxes
 from carla_recap.show.rerun.meshes import drawn, lamps_of, model_mesh, unlit
-from carla_recap.show.rerun.stream import HeldRows, PoseBuffer, screen_radii
+from carla_recap.show.rerun.stream import PoseBuffer, screen_radii
 from carla_recap.show.rerun.surroundings import CorridorWriter
 
 if TYPE_CHECKING:
@@ -126,14 +126,10 @@ class ActorWriter:
         self._lay(description, times, [*again, *((0, id) for id in redrawn)])
         self._poses.add(description, times, [*spawned, *redrawn])
         if self._poses.is_full:
-            self._write_poses()
+            self.flush()
 
     def flush(self) -> None:
-        """Write what is held back."""
-        self._lamps.flush()
-        self._write_poses()
-
-    def _write_poses(self) -> None:
+        """Write the poses that are held back."""
         block = self._poses.take()
         if block is not None:
             block.write(self._stream, self._placed)
@@ -296,7 +292,6 @@ class LampWriter:
         self._lit: dict[int, int] = {}  # the lamps of each actor in the latest scene, as in `SceneDescription.lamps`
         self._latest: tuple[Ids, NDArray[np.uint64]] | None = None  # the same as arrays, unless actors were added since
         self._drawn: dict[int, dict[Material, str | None]] = {}  # the entities of the lamps of each actor
-        self._changes = HeldRows(stream, _factor_columns)
 
     def add(self, id: int, mesh: Mesh) -> None:
         """Add an actor, of which nothing is lit."""
@@ -321,10 +316,6 @@ class LampWriter:
             if id in self._meshes:
                 self._change(id, lit, times.point(row))
 
-    def flush(self) -> None:
-        """Write what is held back."""
-        self._changes.flush()
-
     def _change(self, id: int, lamps: int, time: TimePoint) -> None:
         """Note the lit lamps of an actor, given as bits `1 << material`."""
         changed, self._lit[id] = self._lit[id] ^ lamps, lamps
@@ -332,7 +323,7 @@ class LampWriter:
             if changed >> material & 1 and (path := self._drawn_lamps(id, material, time)) is not None:
                 finish = MATERIALS[material]
                 color = finish.glow if lamps >> material & 1 else None
-                self._changes.add(path, time, color or finish.color)
+                self._stream.hold(path, _factor_columns, time, color or finish.color)
 
     def _drawn_lamps(self, id: int, material: Material, time: TimePoint) -> str | None:
         """Return the entity of the lamps of an actor, which are drawn on first use; None if it has none."""

@@ -132,7 +132,6 @@ class FollowedWriter:
 
     def flush(self) -> None:
         """Write what is held back."""
-        self._ahead.flush()
         if self._rows:
             self._write_series()
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import rerun as rr
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     Columns = Iterable[rr.ComponentColumn]
 
 _NANOSECONDS: Final = 1e9
-_LARGEST_PIECE: Final = 1 << 20  # bytes of an entity's data that are written together, more or less
-_MOST_HELD: Final = 16 << 20  # bytes of all data that are held back
 _POSE_SIZE: Final = 64  # bytes that a pose counts
 _PLANE: Final = 2.0  # m from a camera to its image in the world
 _METER: Final = 1000.0  # mm
@@ -43,14 +40,6 @@ _RAMP: Final = np.array(((62, 70, 200), (40, 160, 230), (60, 200, 120), (240, 21
 _NEARING: Final = np.array((240.0, 80.0, 60.0))
 _STEADY: Final = np.array((235.0, 235.0, 240.0))
 _LEAVING: Final = np.array((80.0, 150.0, 255.0))
-
-
-class _Row(NamedTuple):
-    """A value of an entity at a time, and the size of its data in bytes."""
-
-    time: TimePoint
-    value: Any
-    size: int
 
 
 class SensorWriter:
@@ -70,9 +59,6 @@ class SensorWriter:
         self._messages: Iterator[TopicMessage] = self._decoder.messages(start, stop + 2 * SAME_TIME)
         self._next = next(self._messages, None)
         self._clock: TimeColumns | None = None
-        self._held: defaultdict[tuple[str, Callable[[Sequence[Any]], Columns]], list[_Row]] = defaultdict(list)
-        self._sizes: defaultdict[tuple[str, Callable[[Sequence[Any]], Columns]], int] = defaultdict(int)
-        self._size = 0
         self._begun: dict[str, object] = {}  # what was logged of an entity for all times
 
     def write(self, times: TimeColumns) -> None:
@@ -85,8 +71,7 @@ class SensorWriter:
 
     def close(self) -> None:
         """Write what is held back."""
-        for entity in list(self._held):
-            self._flush(entity)
+        self._stream.flush()
 
     def _add(self, message: TopicMessage) -> None:
         id, decoded = self._ids.get(message.topic), self._decoder.decoded(message)
@@ -94,7 +79,7 @@ class SensorWriter:
         if isinstance(decoded, dict):
             for name, pose in decoded.items():
                 if name in self._shown:
-                    self._hold(entities.sensor(name), _transforms, time, pose, _POSE_SIZE)
+                    self._stream.hold(entities.sensor(name), _transforms, time, pose, _POSE_SIZE)
         elif id in self._shown:
             assert id is not None
             self._add_data(id, kind_of(message.topic), time, decoded)
@@ -106,20 +91,20 @@ class SensorWriter:
         elif isinstance(data, EncodedImage):
             self._begin(path, data.format, _still_or_video)
             columns = _packets if data.format == H264 else _stills
-            self._hold(path, columns, time, data.data, len(data.data))
+            self._stream.hold(path, columns, time, data.data, len(data.data))
         elif isinstance(data, np.ndarray):
             if data.dtype.names is not None:
                 self._begin(path, _DETECTION if "velocity" in data.dtype.names else _POINT, _points_of)
                 points = _positions(data), _point_colors(data)
-                self._hold(path, _clouds, time, points, points[0].nbytes + points[1].nbytes)
+                self._stream.hold(path, _clouds, time, points, points[0].nbytes + points[1].nbytes)
             elif kind in ("semantic", "instance"):
                 labels = data if data.ndim == 2 else np.ascontiguousarray(data[..., :2]).view("<u2")[..., 0]
                 self._begin(path, (kind, labels.shape, labels.dtype.itemsize), _segmentation)
-                self._hold(path, _labels, time, labels, labels.nbytes)
+                self._stream.hold(path, _labels, time, labels, labels.nbytes)
             else:
                 encoded = png(data) if data.dtype == np.uint16 else jpeg(_picture(data))
                 self._begin(path, "depth" if data.dtype == np.uint16 else "jpeg", _still_or_video)
-                self._hold(path, _depths if data.dtype == np.uint16 else _stills, time, encoded, len(encoded))
+                self._stream.hold(path, _depths if data.dtype == np.uint16 else _stills, time, encoded, len(encoded))
 
     def _point(self, elapsed: float) -> TimePoint:
         """Return a time with the frame that was the latest then."""
@@ -133,24 +118,6 @@ class SensorWriter:
         if self._begun.get(path) != key:
             self._begun[path] = key
             self._stream.log_static(path, *archetypes(key))
-
-    def _hold(self, path: str, columns: Callable[[Sequence[Any]], Columns], time: TimePoint, value: Any, size: int) -> None:
-        """Hold a row of an entity back until there are enough."""
-        entity = path, columns
-        self._held[entity].append(_Row(time, value, size))
-        self._sizes[entity] += size
-        self._size += size
-        if self._sizes[entity] >= _LARGEST_PIECE:
-            self._flush(entity)
-        elif self._size >= _MOST_HELD:
-            self._flush(max(self._sizes, key=lambda each: self._sizes[each]))
-
-    def _flush(self, entity: tuple[str, Callable[[Sequence[Any]], Columns]]) -> None:
-        rows = self._held.pop(entity)
-        self._size -= self._sizes.pop(entity)
-        path, columns = entity
-        times = TimeColumns.of_points(row.time for row in rows)
-        self._stream.columns(path, times, columns([row.value for row in rows]))
 
 
 def _pinhole(camera: Calibration) -> Iterable[rr.AsComponents]:

@@ -9,7 +9,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.description import SceneDescription
     from carla_recap.util.arrays import Booleans, Floats, Ids
 
+    ColumnsOf = Callable[[Sequence[Any]], Iterable[rr.ComponentColumn]]
 
-V = TypeVar("V")
 
 FRAME: Final = "frame"
 SIM_TIME: Final = "sim_time"
@@ -41,7 +41,9 @@ ROWS: Final = 1024
 """The number of frames in a block, more or less."""
 
 _MAX_POSES: Final = 1 << 19  # the number of poses in a block of many actors, more or less
-_MAX_HELD: Final = 8192  # the number of single rows that are held back
+_LARGEST_PIECE: Final = 1 << 20  # bytes of an entity's rows that are written together, more or less
+_MAX_HELD: Final = 16 << 20  # bytes of all rows that are held back
+_ROW: Final = _MAX_HELD >> 13  # bytes that a small row counts, with what Python needs for it
 _TRANSLATION: Final = rr.Transform3D.descriptor_translation()
 _ROTATION: Final = rr.Transform3D.descriptor_quaternion()
 
@@ -99,6 +101,9 @@ class Stream:
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
+        self._held: defaultdict[tuple[str, ColumnsOf], list[tuple[TimePoint, Any]]] = defaultdict(list)
+        self._sizes: defaultdict[tuple[str, ColumnsOf], int] = defaultdict(int)
+        self._size = 0
         recording.set_log_time_enabled(False)
 
     def log(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
@@ -148,37 +153,33 @@ class Stream:
         ]
         self._recording.send_columns(path, indexes, [column for group in columns for column in group])
 
+    def hold(self, path: str, columns: ColumnsOf, time: TimePoint, value: Any, size: int = _ROW) -> None:
+        """Log a row of an entity later, together with others: when there are many, or when `flush` is called.
 
-def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
-    return {FRAME: pa.array(times.frame), SIM_TIME: pa.array(times.elapsed).view(pa.duration("ns"))}
-
-
-class HeldRows(Generic[V]):
-    """Single rows of some entities, which are written as columns: when there are many, or when `flush` is called.
-
-    `columns` returns the components of rows, given their values.
-    """
-
-    def __init__(self, stream: Stream, columns: Callable[[list[V]], Iterable[rr.ComponentColumn]]) -> None:
-        self._stream = stream
-        self._columns = columns
-        self._rows: defaultdict[str, list[tuple[TimePoint, V]]] = defaultdict(list)
-        self._count = 0
-
-    def add(self, path: str, time: TimePoint, value: V) -> None:
-        """Add a row of an entity, whose times ascend."""
-        self._rows[path].append((time, value))
-        self._count += 1
-        if self._count >= _MAX_HELD:
+        `columns` returns the components of rows, given their values; the size of a value is in bytes.
+        """
+        entity = path, columns
+        self._held[entity].append((time, value))
+        self._sizes[entity] += size
+        self._size += size
+        if self._sizes[entity] >= _LARGEST_PIECE:
+            self._write_held(entity)
+        elif self._size >= _MAX_HELD:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is held back."""
-        for path, rows in self._rows.items():
-            times = TimeColumns.of_points(time for time, _ in rows)
-            self._stream.columns(path, times, self._columns([value for _, value in rows]))
-        self._rows.clear()
-        self._count = 0
+        """Log all rows that are held back."""
+        for entity in list(self._held):
+            self._write_held(entity)
+
+    def _write_held(self, entity: tuple[str, ColumnsOf]) -> None:
+        (path, columns), rows = entity, self._held.pop(entity)
+        self._size -= self._sizes.pop(entity)
+        self.columns(path, TimeColumns.of_points(time for time, _ in rows), columns([value for _, value in rows]))
+
+
+def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
+    return {FRAME: pa.array(times.frame), SIM_TIME: pa.array(times.elapsed).view(pa.duration("ns"))}
 
 
 def screen_radii(points: float) -> list[float]:

@@ -22,7 +22,6 @@ from carla_recap.scene.materials import SIGNAL_LAMPS
 from carla_recap.scene.state_lanes import NO_COLOR, NONE, incident_lanes, verdict_lanes
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.meshes import circle, model_mesh
-from carla_recap.show.rerun.stream import HeldRows, TimeColumns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.follow import FollowedRecords
     from carla_recap.scene.materials import Color
     from carla_recap.scene.state_lanes import StateLane
-    from carla_recap.show.rerun.stream import Stream, TimePoint
+    from carla_recap.show.rerun.stream import Stream, TimeColumns, TimePoint
     from carla_recap.util.arrays import Floats
 
 
@@ -66,14 +65,12 @@ class EventWriter:
         self._stream = stream
         self._live = live
         self._text = EventText()
-        self._lines = HeldRows(stream, _log_columns)
-        self._states = HeldRows(stream, _state_columns)
         self._collides = False
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         for line in self._text.lines(description.batch.scene(0)):
-            self._lines.add(entities.EVENTS, times.point(0), line)
+            self._stream.hold(entities.EVENTS, _log_columns, times.point(0), line)
         if self._live:
             collides = any(isinstance(event, Collided) for event in description.batch.events)
             self._set_collides(collides, times.point(0))
@@ -86,7 +83,7 @@ class EventWriter:
         """Write what happens during the scenes of some times: lines of incidents, lanes of their kinds and of verdicts."""
         found = list(found)
         for row, line in incident_lines(found, clock.seconds):
-            self._lines.add(entities.EVENTS, clock.point(row), line)
+            self._stream.hold(entities.EVENTS, _log_columns, clock.point(row), line)
         for lane in incident_lanes(found, clock.seconds):
             self._write_lane(entities.incidents(lane.name), lane, clock)
         for lane in verdict_lanes(verdicts, clock.seconds):
@@ -96,19 +93,14 @@ class EventWriter:
         colors = {text: lane.color for _, text in lane.states} | dict([lane.calm])
         self._stream.log_static(path, rr.StateConfiguration(values=[*colors], colors=[*colors.values()]))
         for row, text in lane.states:
-            self._states.add(path, clock.point(row), text)
+            self._stream.hold(path, _state_columns, clock.point(row), text)
 
     def _set_collides(self, collides: bool, time: TimePoint) -> None:
         if collides != self._collides:
             self._collides = collides
             path, colors = entities.incidents(_COLLISION), [style.COLLISION, NO_COLOR]
             self._stream.log_static(path, rr.StateConfiguration(values=[_COLLISION, NONE], colors=colors))
-            self._states.add(path, time, _COLLISION if collides else NONE)
-
-    def flush(self) -> None:
-        """Write what is held back."""
-        self._lines.flush()
-        self._states.flush()
+            self._stream.hold(path, _state_columns, time, _COLLISION if collides else NONE)
 
     def _mark(self, locations: Floats, time: TimePoint) -> None:
         """Show marks: each one is a ring on the ground with a cross in it, which hide nothing."""
@@ -148,14 +140,12 @@ class TrafficLightWriter:
         self._stream = stream
         self._last: tuple[bytes, bytes] = (b"", b"")  # ids and states of the last scene
         self._states: dict[int, int] = {}
-        self._changes = HeldRows(stream, _state_columns)
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         batch = description.batch
         for event in batch.events:
             if isinstance(event, Destroyed) and event.id in self._states:
-                self.flush()
                 del self._states[event.id]
                 self._stream.clear(entities.state(event.id), times.point(0))
         ids, states = batch.light_states["id"][0], batch.light_states["state"]
@@ -174,11 +164,7 @@ class TrafficLightWriter:
             names, colors = zip(*style.LIGHTS, strict=True)
             self._stream.log_static(entities.state(id), rr.StateConfiguration(values=names, colors=colors))
         self._states[id] = state
-        self._changes.add(entities.state(id), time, style.light(state)[0])
-
-    def flush(self) -> None:
-        """Write what is held back."""
-        self._changes.flush()
+        self._stream.hold(entities.state(id), _state_columns, time, style.light(state)[0])
 
 
 class LightAheadWriter:
@@ -188,7 +174,6 @@ class LightAheadWriter:
         self._stream = stream
         self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
-        self._changes = HeldRows(stream, _state_columns)
         self._colors: dict[str, Color] = {NONE: NO_COLOR}
 
     def write(self, description: SceneDescription, times: TimeColumns, followed: FollowedRecords) -> None:
@@ -204,10 +189,6 @@ class LightAheadWriter:
                 pose = None if now is None else description.pose_of(light, row)
                 self._change(now, pose, right_handed(followed.poses[row]), times.point(row))
 
-    def flush(self) -> None:
-        """Write what is held back."""
-        self._changes.flush()
-
     def _change(self, now: tuple[int, int] | None, pose: Floats | None, seen_from: Floats, time: TimePoint) -> None:
         """Note which light is ahead, with its state, and show it, given the poses of the light and of the actor."""
         before, self._last, self._begun = self._last, now, True
@@ -219,7 +200,7 @@ class LightAheadWriter:
             self._colors[text] = color
             values, colors = list(self._colors), list(self._colors.values())
             self._stream.log_static(entities.LIGHT_AHEAD, rr.StateConfiguration(values=values, colors=colors))
-        self._changes.add(entities.LIGHT_AHEAD, time, text)
+        self._stream.hold(entities.LIGHT_AHEAD, _state_columns, time, text)
         if pose is not None:
             lamps = pose[LOCATION] + rotations(pose) @ _middle_of_lamps()
             self._stream.log(entities.AHEAD, time, *_ring(lamps, seen_from, text, color))

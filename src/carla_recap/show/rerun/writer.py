@@ -148,10 +148,9 @@ class SceneWriter:
     def flush(self) -> None:
         """Write what is held back."""
         self._actors.flush()
-        self._lights.flush()
-        self._events.flush()
         if self._followed is not None:
             self._followed.flush()
+        self._stream.flush()
 
     def close(self) -> None:
         """Write what is held back, and what is known only at the end."""
