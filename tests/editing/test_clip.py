@@ -230,6 +230,21 @@ def test_records_written_once_are_repeated_in_the_first_frame(small: Path, tmp_p
     assert ids == sorted(ids, key=ORDER.index)
 
 
+def test_an_actor_destroyed_before_the_first_frame(tmp_path: Path) -> None:
+    """It has no records; an actor that reuses its id has only its own."""
+    path = tmp_path / "own.log"
+    box = {"bounding_boxes": [(1, 0, 0, 0, 1, 1, 1), (2, 0, 0, 0, 2, 2, 2)]}
+    with create_recording(path, map_name="Town01", date=0, additional_data=True) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], doors=[(1, 0, 1), (2, 3, 1)], **box)
+        recorder.add_frame(1.0, destroyed=[1, 2], parented=[(1, 2)])
+        recorder.add_frame(2.0, spawned=[Spawn(2, 2)])
+        recorder.add_frame(3.0)
+    first = later_frame(path, tmp_path / "clip.log", 3.0)
+    assert [(spawn.id, spawn.kind) for spawn in first["spawned"]] == [(2, 2)]
+    assert not any(len(first[name]) for name in ("doors", "parented", "bounding_boxes"))
+    assert first["destroyed"]["id"].tolist() == [1]
+
+
 def test_the_latest_records_are_used(tmp_path: Path) -> None:
     path = tmp_path / "own.log"
     light = {"intensity": 1.0, "red": 0, "green": 0, "blue": 0, "alpha": 0, "on": 1, "group": 0}
