@@ -20,7 +20,8 @@ from carla_recap import open_recording
 from carla_recap.errors import FormatError, RecapError
 from carla_recap.formats.base import TopicMessage
 from carla_recap.formats.mcap.writer import McapWriter
-from carla_recap.sensors.decoding import LARGEST_SIDE, Calibration, SensorDecoder, StoredImages
+from carla_recap.sensors.decoding import Calibration, SensorDecoder, StoredImages
+from carla_recap.sensors.kinds import LARGEST_SIDE
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages
 from carla_recap.sensors.ray_sensors import POINT
 from carla_recap.sensors.rig import SensorRig

@@ -475,8 +475,9 @@ def test_cameras_and_rrd_are_written_together_or_not_at_all(tmp_path: Path) -> N
         export(CROSSING, tmp_path / "x.rrd", duration=1, cameras=tmp_path / "taken", force=True)
     with pytest.raises(RecapError, match="is the destination itself; a folder was expected"):
         export(CROSSING, tmp_path / "y.rrd", cameras=tmp_path / "y.rrd")
+    (tmp_path / "file").touch()
     with pytest.raises(RecapError, match="cannot be written"):
-        export(CROSSING, tmp_path / "missing" / "z.rrd", cameras=tmp_path / "cameras")
+        export(CROSSING, tmp_path / "file" / "z.rrd", cameras=tmp_path / "cameras")
     assert not (tmp_path / "cameras").exists()
     assert not (tmp_path / "y.rrd").exists()
 

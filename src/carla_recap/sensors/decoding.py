@@ -17,6 +17,7 @@ from carla_recap.errors import FormatError, MissingExtra, RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.sensors import RecordedSensor, kind_of, sensors
 from carla_recap.sensors.encoding import load_pillow
+from carla_recap.sensors.kinds import LARGEST_SIDE
 from carla_recap.util.text import single_line
 
 try:
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
 
     Image = NDArray[np.uint8]
 
-LARGEST_SIDE: Final = 4096
-"""The largest width and height of images in pixels."""
 JPEG: Final = "jpeg"
 H264: Final = "h264"
 

@@ -125,10 +125,6 @@ class SampledReplay:
     # in m, right-handed
     marks: list[tuple[float, Floats]]
 
-    def covers(self, time: float) -> bool:
-        """Return whether the samples cover a time."""
-        return any(start <= time <= stop for start, stop in self.spans)
-
     def poses(self, time: float) -> dict[int, Floats]:
         """Return the poses at a time by the indices of the actors: x, y, yaw, speed of the sample at or before it."""
         sample = int(np.searchsorted(self.times, time + _SAME_TIME, side="right")) - 1
