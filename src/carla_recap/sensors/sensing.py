@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -167,15 +168,6 @@ def sensed_frames(
     return _Sensing(recording, rig, options, player, town, uncut).frames(progress)
 
 
-@dataclass(eq=False)
-class _Surroundings:
-    """What is known of the town of a recording."""
-
-    mesh: TownMesh | None
-    opendrive: Callable[[], str]
-    is_map: bool
-
-
 class _Town:
     """The town of a recording, loaded when it is first asked for."""
 
@@ -183,35 +175,35 @@ class _Town:
         self._recording = recording
         self._road_map = road_map
         self._span = player.start, player.stop - player.start
-        self._found: _Surroundings | None = None
 
     def mesh(self) -> TownMesh | None:
         """Return the surfaces; None if there are none."""
-        return self._surroundings().mesh
+        return self._found[0]
 
     def opendrive(self) -> str:
         """Return the text of the map; empty without one."""
-        found = self._surroundings()
-        return found.opendrive() if found.is_map else ""
+        path = self._found[1]
+        return "" if path is None else read_text(path)
 
-    def _surroundings(self) -> _Surroundings:
-        if self._found is None:
-            from carla_recap.town.mesh import load_town_mesh, town_of_map
+    @cached_property
+    def _found(self) -> tuple[TownMesh | None, Path | None]:
+        """The surfaces and the map that they are of; None where vehicles have driven along roads of no known map."""
+        from carla_recap.town.mesh import load_town_mesh, town_of_map
 
-            def load(path: Path) -> _Surroundings:
-                return _Surroundings(load_town_mesh(path), lambda: read_text(path), is_map=True)
+        def load(path: Path) -> tuple[TownMesh | None, Path | None]:
+            return load_town_mesh(path), path
 
-            def convert(corridors: RoadMap) -> _Surroundings:
-                return _Surroundings(town_of_map(corridors), lambda: corridors.opendrive, is_map=False)
+        def convert(corridors: RoadMap) -> tuple[TownMesh | None, Path | None]:
+            return town_of_map(corridors), None
 
-            found = load_map_of(self._recording, self._road_map, load, convert, *self._span, longest=math.inf)
-            self._found = found or _Surroundings(None, str, is_map=False)
-            if not self._found.is_map:
-                name = self._recording.header.map_name or "without a name"
-                seen = "the ground is missing" if self._found.mesh is None else "the roads are where vehicles have driven"
-                text = f"{self._recording.location}: the map {name} is not found: {seen}"
-                warnings.warn(text, RecapWarning, stacklevel=2)
-        return self._found
+        found = load_map_of(self._recording, self._road_map, load, convert, *self._span, longest=math.inf)
+        mesh, path = found or (None, None)
+        if path is None:
+            name = self._recording.header.map_name or "without a name"
+            seen = "the ground is missing" if mesh is None else "the roads are where vehicles have driven"
+            text = f"{self._recording.location}: the map {name} is not found: {seen}"
+            warnings.warn(text, RecapWarning, stacklevel=2)
+        return mesh, path
 
 
 class _Moment(NamedTuple):
