@@ -13,7 +13,7 @@ from carla_recap.model.blueprints import blueprint_sizes, other_names
 from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 from carla_recap.replay import Player
-from carla_recap.scene.actor_instances import SceneActors, instances_of
+from carla_recap.scene.actor_instances import SceneActors
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.lamps import lamps_of_vehicles
 from carla_recap.scene.materials import Material, Tag
@@ -180,7 +180,7 @@ def shown(played):
 
     def instances(*poses, **records):
         (scene,) = played({"transforms": poses, **records}).scenes()
-        return instances_of(scene)
+        return SceneActors().at(scene)
 
     return instances
 

@@ -56,11 +56,6 @@ def instances(
     )
 
 
-def instances_of(scene: Scene, *, marks: bool = True) -> Instances:
-    """Return the instances of a scene on its own; `SceneActors` is faster for many, and keeps what happened before."""
-    return SceneActors(marks=marks).at(scene)
-
-
 def described_instances(description: SceneDescription, row: int = 0, *, marks: bool = True) -> Instances:
     """Return the instances of one of the scenes of a description."""
     found = instances(description.actors, description.poses[row], description.lamps[row], description.steering[row])
