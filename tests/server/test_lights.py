@@ -84,7 +84,7 @@ def test_a_trigger_volume_is_where_one_stops(lights: list[carla.TrafficLight]) -
 
 def test_what_no_light_can_show_is_refused(inside: Inside) -> None:
     light, spectator = inside.world.traffic_lights[0], inside.world.spectator
-    with pytest.raises(RecapError, match="0 to 4 was expected, found 9"):
+    with pytest.raises(RecapError, match="expected 0 to 4, found 9"):
         inside.call("set_traffic_light_state", light.id, 9)
     with pytest.raises(RecapError, match="expected 0 s or more"):
         inside.call("set_traffic_light_green_time", light.id, -1.0)

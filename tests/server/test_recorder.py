@@ -193,7 +193,7 @@ def test_what_is_no_recording_has_carlas_texts(client: carla.Client, recordings:
             ask(client)
     for name in ("/", "./", "a\0b"):
         for ask in queries_of(name):
-            with pytest.raises(RuntimeError, match=r"^'[^']+': the name of a recording was expected$"):
+            with pytest.raises(RuntimeError, match=r"^'[^']+': expected the name of a recording$"):
                 ask(client)
 
 

@@ -179,22 +179,22 @@ def test_infinite_numbers_and_nan_are_errors(number: float) -> None:
         lambda: setattr(world, "weather", replace(world.weather, wetness=number)),
     ]
     for attempt in attempts:
-        with pytest.raises(SimError, match=r"expected 0 s or more|at most 10+ .* expected"):
+        with pytest.raises(SimError, match=r"expected 0 s or more|expected at most 10+ "):
             attempt()
     world.tick()
     assert car.transform == at(0.0)
 
 
 def test_a_negative_seed_is_an_error() -> None:
-    with pytest.raises(SimError, match=r"seed: 0 or a larger whole number was expected, found -1"):
+    with pytest.raises(SimError, match=r"seed: expected 0 or a larger whole number, found -1"):
         World(flat_town(), seed=-1)
 
 
 def test_doors_and_states_that_do_not_exist_are_errors() -> None:
     world = flat_world(signals=[light(0, (0,))])
-    with pytest.raises(SimError, match="a door: 0 to 6 was expected, found 9"):
+    with pytest.raises(SimError, match="a door: expected 0 to 6, found 9"):
         vehicle(world).set_door(9, True)
-    with pytest.raises(SimError, match="the state of a traffic light: 0 to 4 was expected, found 5"):
+    with pytest.raises(SimError, match="the state of a traffic light: expected 0 to 4, found 5"):
         world.traffic_lights[0].state = 5
 
 
@@ -296,7 +296,7 @@ def test_invalid_settings_are_errors(name: str, value: object) -> None:
 def test_invalid_durations_are_errors() -> None:
     world = flat_world()
     for seconds in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(SimError, match="0 s or more was expected"):
+        with pytest.raises(SimError, match="expected 0 s or more"):
             world.run(seconds)
     for factor in (0.0, -1.0, float("nan")):
         with pytest.raises(SimError, match="a factor above 0"):

@@ -23,7 +23,7 @@ _ROUNDING = 1e-6  # of a tick
 
 def _not_empty(context: click.Context, option: click.Parameter, value: str | None) -> str | None:
     if value == "":
-        raise click.BadParameter("the name of a map or an .xodr was expected, found an empty text.", context, option)
+        raise click.BadParameter("expected the name of a map or an .xodr, found an empty text.", context, option)
     return value
 
 

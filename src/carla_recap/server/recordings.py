@@ -136,7 +136,7 @@ def _expect_name(name: str) -> None:
 
 
 def _no_name(name: str) -> CallError:
-    return CallError(f"{_shown(name)}: the name of a recording was expected")
+    return CallError(f"{_shown(name)}: expected the name of a recording")
 
 
 def _shown(name: str) -> str:

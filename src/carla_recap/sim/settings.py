@@ -42,7 +42,7 @@ class Settings:
         if name == "max_substep_delta_time" or (name == "fixed_delta_seconds" and value is not None):
             expect_seconds(name, value)
         if name == "collisions_of" and value not in _COLLISIONS_OF:
-            raise SimError(f"{name}: {' or '.join(_COLLISIONS_OF)} was expected, found {value!r}")
+            raise SimError(f"{name}: expected {' or '.join(_COLLISIONS_OF)}, found {value!r}")
         object.__setattr__(self, name, value)
 
 

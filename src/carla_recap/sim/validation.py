@@ -37,13 +37,13 @@ def expect_finite(what: str, *values: float, of: object = None) -> None:
 def expect_between(what: str, value: int, least: int, most: int, *, of: object = None) -> None:
     """Make sure that a number is within bounds, both included."""
     if not least <= value <= most:
-        raise SimError(f"{_named(what, of)}: {least} to {most} was expected, found {value}")
+        raise SimError(f"{_named(what, of)}: expected {least} to {most}, found {value}")
 
 
 def expect_count(what: str, value: int) -> None:
     """Make sure that a number is a count."""
     if not (value >= 0 and value % 1 == 0):
-        raise SimError(f"{what}: 0 or a larger whole number was expected, found {value:g}")
+        raise SimError(f"{what}: expected 0 or a larger whole number, found {value:g}")
 
 
 def expect_seconds(what: str, value: float, most: float = MAX_TICK) -> None:
@@ -101,7 +101,7 @@ def _named(what: str, of: object) -> str:
 def _expect_at_most(what: str, of: object, unit: str, most: float, *values: float) -> None:
     for value in values:
         if not -most <= value <= most:
-            raise SimError(f"{_named(what, of)}: at most {most:.10g} {unit} was expected, found {value:g}")
+            raise SimError(f"{_named(what, of)}: expected at most {most:.10g} {unit}, found {value:g}")
 
 
 def _numbers(value: Any) -> Iterator[float]:

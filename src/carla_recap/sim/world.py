@@ -94,7 +94,7 @@ class World:
         parameters: Mapping[str, object] | None = None,
     ) -> None:
         if seed < 0:
-            raise SimError(f"seed: 0 or a larger whole number was expected, found {seed}")
+            raise SimError(f"seed: expected 0 or a larger whole number, found {seed}")
         self.blueprints = standard_library()
         self.settings = Settings(fixed_delta_seconds=fixed_delta_seconds)
         self.random = np.random.default_rng(seed)
@@ -272,7 +272,7 @@ class World:
     def run(self, seconds: float) -> None:
         """Tick for some simulated time in s; `SimError`: it is negative or infinite."""
         if not 0 <= seconds < np.inf:
-            raise SimError(f"run: 0 s or more was expected, found {seconds:g} s")
+            raise SimError(f"run: expected 0 s or more, found {seconds:g} s")
         for _ in range(ceil(seconds / (self.settings.fixed_delta_seconds or _DELTA) - _ROUNDING)):
             self.tick()
 

@@ -148,7 +148,7 @@ def test_of_several_files_that_of_the_town_or_beside_the_recording_counts(file: 
         assert route_for(read_routes(other, file, far), reader).path == str(file)
         assert route_for(read_routes(other, far), reader, "3").path == str(other)
         assert len(read_routes(file, file)) == 1
-        with pytest.raises(RecapError, match=re.escape(f"one route '3' was expected, found 2: in {other}, {again}")):
+        with pytest.raises(RecapError, match=re.escape(f"expected one route '3', found 2: in {other}, {again}")):
             route_for(read_routes(other, again), reader)
     finally:
         reader.close()

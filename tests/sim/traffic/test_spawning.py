@@ -65,7 +65,7 @@ def test_there_is_less_room_around_a_location(town):
 
 @pytest.mark.parametrize("counts", [(-1, 0), (0, -1), (float("nan"), 0)])
 def test_negative_and_fractional_numbers_are_errors(counts: tuple[int, int]) -> None:
-    with pytest.raises(SimError, match="0 or a larger whole number was expected"):
+    with pytest.raises(SimError, match="expected 0 or a larger whole number"):
         populate(flat_world(), *counts)
 
 

@@ -112,7 +112,7 @@ def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) ->
         raise RecapError(f"{files}: has {len(found)} routes for {location}; --route-id names one of {_listed(found)}")
     if len(found) > 1:
         paths = first_of([route.path for route in found])
-        raise RecapError(f"{location}: one route {visible(found[0].id)!r} was expected, found {len(found)}: in {paths}")
+        raise RecapError(f"{location}: expected one route {visible(found[0].id)!r}, found {len(found)}: in {paths}")
     return found[0]
 
 

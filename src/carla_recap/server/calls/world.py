@@ -110,7 +110,7 @@ def project_point(client: Client, location: Location, direction: Vector, distanc
     expect_place("the start of a ray", location)
     length = direction.length()
     if not length:
-        raise CallError("project_point: a direction was expected, found none")
+        raise CallError("project_point: expected a direction, found none")
     far = distance / length
     end = Location(location.x + direction.x * far, location.y + direction.y * far, location.z + direction.z * far)
     expect_place("the end of a ray", end)

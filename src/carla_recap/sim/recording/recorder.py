@@ -49,7 +49,7 @@ def recording_path(name: Path | str, folder: Path | str | None = None) -> Path:
     if os.name != "nt" and PureWindowsPath(name).drive.endswith(":"):
         name = PureWindowsPath(name).name
     if not str(name):
-        raise RecapError("the name of a recording was expected, found an empty text")
+        raise RecapError("expected the name of a recording, found an empty text")
     return Path(name) if _is_path(name) else recordings_folder(folder) / name
 
 
@@ -191,9 +191,9 @@ class WorldRecorder:
         """Return the path at which a recording of a name will be; `RecapError`: no recording can have the name."""
         named = recording_path(name, self._folder)
         if "\0" in str(name):
-            raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, found an embedded null byte")
+            raise RecapError(f"{str(name)!r:.200}: expected the name of a recording, found an embedded null byte")
         if _FOLDER_NAME.search(str(name)):
-            raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, and this is that of a folder")
+            raise RecapError(f"{str(name)!r:.200}: expected the name of a recording, found that of a folder")
         return named if named.suffix else named.with_name(named.name + _MCAP)
 
     def _destination(self, name: Path | str, *, force: bool) -> Path:
@@ -201,7 +201,7 @@ class WorldRecorder:
         path = self.destination(name)
         check_free(path, force=force)
         if (folder := recording_path(name, self._folder)).is_dir():
-            raise RecapError(f"{folder}: the name of a recording was expected, and this is a folder")
+            raise RecapError(f"{folder}: expected the name of a recording, found a folder")
         source = self.episode.replayed
         if source is not None and path.exists() and path.samefile(source):
             raise RecapError(f"{path}: is being replayed; the recorder needs another name")
