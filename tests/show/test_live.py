@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
 import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import psutil
 import pytest
 
-from carla_recap import open_recording
+from carla_recap import RecapError, open_recording
 from carla_recap.model.frame import Frame, Header
 from tests.replay.scripts import pose, spawn, write
-from tests.samples import SAMPLES
+from tests.samples import SAMPLES, names_in
+from tests.waiting import time_limit
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
@@ -30,7 +34,7 @@ from carla_recap.show.foxglove.messages import SceneUpdate
 from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
 from carla_recap.show.rerun import bodies
 from carla_recap.show.rerun.blueprint import live_blueprint
-from carla_recap.show.rerun.sinks import APPLICATION, RrdFile, send_blueprint
+from carla_recap.show.rerun.sinks import APPLICATION, rrd_file, save_blueprint, send_blueprint
 from carla_recap.show.rerun.writer import LiveView
 
 ACTORS: Final = int(os.environ.get("COMING_AND_GOING", "160"))
@@ -122,20 +126,54 @@ def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: py
     assert max(threads[1:]) <= threads[0]  # each other actor that is followed has another blueprint
 
 
+def size_of_200(path: Path, *, live: bool = False) -> int:
+    """Return the size of a new file of 200 entities."""
+    with rrd_file(path, live_blueprint(), live=live) as stream:
+        for number in range(200):
+            stream.set_time("frame", sequence=number)
+            stream.log(f"/{number}", rr.Scalars(number))
+            stream.flush()
+    return path.stat().st_size
+
+
 def test_a_live_file_has_no_index_that_grows_in_memory(tmp_path: Path) -> None:
-    def size(*, live: bool) -> int:
-        path = tmp_path / f"{live}.rrd"
-        with RrdFile(path, live_blueprint(), live=live) as file:
-            for number in range(200):
-                file.stream.set_time("frame", sequence=number)
-                file.stream.log(f"/{number}", rr.Scalars(number))
-                file.stream.flush()
-        return path.stat().st_size
-
-    assert size(live=True) < 0.7 * size(live=False)
+    assert size_of_200(tmp_path / "live.rrd", live=True) < 0.7 * size_of_200(tmp_path / "whole.rrd")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="sizes of files are limited by POSIX")
+@contextmanager
+def disk_of(size: int) -> Iterator[None]:
+    """Let no file of this process grow beyond a size, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_disk_without_room_for_the_index_is_an_error(tmp_path: Path) -> None:
+    size = size_of_200(tmp_path / "whole.rrd")
+    with disk_of(size - 2000), pytest.raises(RecapError, match=r"cut\.rrd: cannot be written: File too large"):
+        size_of_200(tmp_path / "cut.rrd")
+    assert names_in(tmp_path) == ["whole.rrd"]
+
+
+@pytest.mark.parametrize("live", [False, True])
+@pytest.mark.parametrize("size", [5, 100, 50_000, 1_000_000])
+def test_a_disk_that_is_full_while_data_wait_is_an_error(tmp_path: Path, size: int, *, live: bool) -> None:
+    points = np.random.default_rng(1).random((300_000, 3))
+    error = pytest.raises(RecapError, match=r"x\.rrd: cannot be written: File too large")
+    with time_limit(), disk_of(size), error, rrd_file(tmp_path / "x.rrd", live_blueprint(), live=live) as stream:
+        stream.log("/points", rr.Points3D(points))
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("size", [100, 50_000])
+def test_an_arrangement_on_a_full_disk_is_an_error(tmp_path: Path, size: int) -> None:
+    with time_limit(), disk_of(size), pytest.raises(OSError, match="File too large"):
+        save_blueprint(live_blueprint(), tmp_path / "x.rbl")
+
+
 def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path) -> None:
     limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)); "
     command = "from carla_recap.__main__ import main; main()"

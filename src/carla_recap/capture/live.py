@@ -153,7 +153,7 @@ def _in_rerun(
 ) -> Iterator[tuple[LiveView, Callable[[], bool]]]:
     """Open Rerun's viewer or a file; yield what shows frames, and a function that returns whether it is still open."""
     from carla_recap.show.rerun.blueprint import live_blueprint
-    from carla_recap.show.rerun.sinks import RrdFile, sent
+    from carla_recap.show.rerun.sinks import rrd_file, sent
     from carla_recap.show.rerun.writer import LiveView
 
     arrangement = live_blueprint(road_map, view=view)
@@ -166,7 +166,7 @@ def _in_rerun(
         elif str(to).startswith(_ADDRESS):
             stream = stack.enter_context(sent(arrangement, str(to)))
         else:
-            stream = stack.enter_context(RrdFile(to, arrangement, live=True)).stream
+            stream = stack.enter_context(rrd_file(to, arrangement, live=True))
         yield LiveView(stream, header, source, follow=follow, view=view, road_map=road_map), is_open
 
 

@@ -68,7 +68,7 @@ def export_rerun(
     check_rerun()
     from carla_recap.show.rerun.blueprint import blueprint, sizes_of
     from carla_recap.show.rerun.ghosts import write_ghosts
-    from carla_recap.show.rerun.sinks import RrdFile, save_blueprint
+    from carla_recap.show.rerun.sinks import rrd_file, save_blueprint
     from carla_recap.show.rerun.writer import filmed, write
 
     reader = source.reader if isinstance(source, Recording) else source
@@ -83,10 +83,10 @@ def export_rerun(
     cameras_of, sizes = ([], None) if cameras is None else (filmed(player), sizes_of(player))
     with (
         nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
-        RrdFile(destination, blueprint(player, view=view, sizes=sizes, verdicts=bool(verdicts)), force=force) as file,
+        rrd_file(destination, blueprint(player, view=view, sizes=sizes, verdicts=bool(verdicts)), force=force) as stream,
     ):
         played = write(
-            file.stream,
+            stream,
             player,
             road_map=road_map,
             incidents=incidents,
@@ -95,7 +95,7 @@ def export_rerun(
             cameras=cameras_of,
         )
         if other is not None:
-            write_ghosts(file.stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
+            write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in cameras_of:
             save_blueprint(blueprint(player, view=view, followed=id, sizes=sizes), folder / f"follow_{id}.rbl")
     return played

@@ -1,71 +1,64 @@
-"""Rerun streams to files and to viewers."""
+"""Rerun streams to files and to viewers.
+
+Rerun's own writer of files does not return if a disk gets full, or leaves the index out without a word: so Rerun writes to a
+pipe.
+"""
 
 from __future__ import annotations
 
 import os
 from contextlib import contextmanager
+from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 import rerun_bindings as bindings
 
 from carla_recap.errors import RecapError
-from carla_recap.util.files import AtomicFile
+from carla_recap.util.files import WholeFile
 from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
     import rerun.blueprint as rrb
 
 APPLICATION: Final = "carla_recap"
 """The application id, by which the viewer finds the blueprints of a recording."""
 
-_PROBE: Final = bytes(1 << 16)  # is written to find out why Rerun could not write
+_PIECE: Final = 1 << 20
+_DESCRIPTORS: Final = Path("/dev/fd")  # in which pipes have names
 
 
-class RrdFile(AtomicFile):
-    """An .rrd, which Rerun writes; see `AtomicFile`. A `live` one has no index at the end, which would be kept in memory.
+@contextmanager
+def rrd_file(
+    path: Path | str, arrangement: rrb.Blueprint, *, live: bool = False, force: bool = True
+) -> Iterator[rr.RecordingStream]:
+    """Open a stream to an .rrd, see `WholeFile`; a context manager. A full disk is an error at its end.
 
-    Attributes:
-        stream: The stream to write to, until the file is closed.
+    A `live` one has no index at the end, which would be kept in memory.
     """
-
-    def __init__(self, path: Path | str, arrangement: rrb.Blueprint, *, live: bool = False, force: bool = True) -> None:
-        super().__init__(path, live=live, force=force)
-        self.stream = rr.RecordingStream(APPLICATION, send_properties=False)
-        self._begin(lambda: self._open(arrangement))
-
-    def abandon(self) -> Path:
-        """See `AtomicFile`."""
-        self._end()
-        return super().abandon()
-
-    def _open(self, arrangement: rrb.Blueprint) -> None:
+    with WholeFile(path, live=live, force=force) as file:
+        stream = rr.RecordingStream(APPLICATION, send_properties=False)
         try:
-            self.stream.save(self._partial.absolute(), write_footer=not self._live)
-        except RuntimeError as error:
-            raise self._failed(error) from None
-        send_blueprint(arrangement, self.stream)
-
-    def _finish(self) -> None:
-        try:
-            self.stream.flush()
-        except RuntimeError as error:
-            raise self._failed(error) from None
-        self._end()
-
-    def _failed(self, error: RuntimeError) -> RecapError:
-        self._file.seek(0, os.SEEK_END)
-        self._file.write(_PROBE)
-        self._file.flush()
-        return RecapError(f"{self.path}: cannot be written: {single_line(error)}")
-
-    def _end(self) -> None:
-        if hasattr(self, "stream"):
-            self.stream.disconnect()
-            del self.stream
+            if _DESCRIPTORS.exists():
+                reader = _connect(stream, file.write, index=not live)
+                try:
+                    send_blueprint(arrangement, stream)
+                    yield stream
+                finally:
+                    stream.disconnect()
+                    reader.join()
+                reader.check()
+            else:
+                written = rr.binary_stream(stream)
+                send_blueprint(arrangement, stream)
+                yield stream
+                stream.disconnect()
+                file.write(written.read() or b"")
+        finally:
+            del stream
             _clean_up()
 
 
@@ -89,31 +82,75 @@ def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStrea
         _clean_up()
 
 
-def save_blueprint(arrangement: rrb.Blueprint, path: Path) -> None:
-    """Write an arrangement as a file of its own, or raise `RecapError`."""
+def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object], *, index: bool) -> _PipeReader:
+    end, own = os.pipe()
     try:
-        arrangement.save(APPLICATION, path)
+        stream.save(f"{_DESCRIPTORS}/{own}", write_footer=index)
     except RuntimeError as error:
-        raise RecapError(f"{path}: cannot be written: {single_line(error)}") from None
+        os.close(end)
+        raise RecapError(f"a pipe for Rerun cannot be made: {single_line(error)}") from None
+    finally:
+        os.close(own)
+    reader = _PipeReader(end, put)
+    reader.start()
+    return reader
+
+
+class _PipeReader(Thread):
+    """Passes on what comes through a pipe, which is read to its end even if that fails."""
+
+    def __init__(self, end: int, put: Callable[[bytes], object]) -> None:
+        super().__init__(name="carla-recap-rrd", daemon=True)
+        self._end = end
+        self._put = put
+        self._error: Exception | None = None
+
+    def run(self) -> None:
+        """Read the pipe to its end."""
+        with os.fdopen(self._end, "rb", buffering=0) as pipe:
+            while piece := pipe.read(_PIECE):
+                if self._error is None:
+                    try:
+                        self._put(piece)
+                    except Exception as error:
+                        self._error = error
+
+    def check(self) -> None:
+        """Raise the first error, if any."""
+        if self._error is not None:
+            raise self._error
+
+
+def save_blueprint(arrangement: rrb.Blueprint, path: Path) -> None:
+    """Write an arrangement as a file of its own."""
+    stream = _blueprint_stream(APPLICATION)
+    written = rr.binary_stream(stream)
+    send_blueprint(arrangement, stream)
+    content = written.read() or b""
+    stream.disconnect()
+    del stream, written
     _clean_up()
+    path.write_bytes(content)
 
 
 def send_blueprint(arrangement: rrb.Blueprint, stream: rr.RecordingStream) -> None:
     """Send an arrangement and use it; `stream.send_blueprint` would keep a copy, and its threads, until the process ends."""
-    native = bindings.new_blueprint(
-        application_id=rr.get_application_id(stream) or APPLICATION,
-        make_default=False,
-        make_thread_default=False,
-        default_enabled=True,
-    )
-    drawn = rr.RecordingStream._from_native(native)
-    drawn.set_time("blueprint", sequence=0)
+    drawn = _blueprint_stream(rr.get_application_id(stream) or APPLICATION)
     arrangement._log_to_stream(drawn)
     memory = drawn.memory_recording().storage
     bindings.send_blueprint(memory, make_active=True, make_default=True, recording=stream.to_native())
     drawn.disconnect()
-    del drawn, memory, native
+    del drawn, memory
     _clean_up()
+
+
+def _blueprint_stream(application: str) -> rr.RecordingStream:
+    native = bindings.new_blueprint(
+        application_id=application, make_default=False, make_thread_default=False, default_enabled=True
+    )
+    stream = rr.RecordingStream._from_native(native)
+    stream.set_time("blueprint", sequence=0)
+    return stream
 
 
 def _clean_up() -> None:
