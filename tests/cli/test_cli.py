@@ -327,6 +327,13 @@ def test_recover(tmp_path):
     assert 100 < frames < 531
 
 
+def test_a_cut_log_is_a_warning(tmp_path):
+    cut = save(tmp_path / "cut.log", CROSSING.read_bytes()[:-10])
+    done = run("info", cut)
+    assert (done.returncode, done.stdout[:11]) == (0, b"Version: 1\n")
+    assert the_line(done.stderr).startswith(f"warning: {cut}: byte ")
+
+
 def test_a_cut_log_converts_with_a_warning(tmp_path):
     cut = save(tmp_path / f"cut{EVIL}.log", CROSSING.read_bytes()[:-10])
     done = run("convert", cut, tmp_path / "cut.mcap")

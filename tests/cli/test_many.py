@@ -261,3 +261,14 @@ def test_limits_of_near_misses_are_options():
         )
         assert value in {row["threshold"] for row in near["rows"]}
         assert option in error("incidents", CROSSING, option, "61")
+
+
+def test_the_reader_of_a_pipe_closes_it(whole):
+    with subprocess.Popen(
+        [COMMAND, "info", "--all", "runs", "--jobs", "2"], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.read(100)
+        process.stdout.close()
+        messages = process.stderr.read()
+        assert process.wait(PATIENCE) in (-signal.SIGPIPE, 0)  # 0: the pipe had room for all
+    assert messages == b""

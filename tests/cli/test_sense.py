@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import resource
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -68,4 +70,20 @@ def test_a_bad_rig_and_an_unknown_actor_are_errors_that_name_them(tmp_path: Path
     assert "no actor 99 to carry the rig" in error(
         "sense", CROSSING, tmp_path / "out.mcap", "--rig", rig(IMU), "--actor", 99
     )
+    assert names_in(tmp_path) == ["rig.json"]
+
+
+def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, rig: Any) -> None:
+    """As on a full disk, the file cannot grow."""
+    size = 20_000
+    path, target = rig(IMU), tmp_path / "out.mcap"
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+    done = run("sense", CROSSING, target, "--rig", path, preexec_fn=limited)
+    assert done.returncode == 2
+    assert f"{target}: cannot be written: File too large" in done.stderr.decode().splitlines()[-1]
+    assert b"Traceback" not in done.stderr
     assert names_in(tmp_path) == ["rig.json"]

@@ -135,6 +135,27 @@ def test_a_full_destination_is_an_error_of_one_line(small):
     assert (done.returncode, done.stderr.decode()) == (FAILED, line)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="descriptors are POSIX's")
+def test_without_stdout_it_fails_with_one_line(small):
+    closed = f"import os; os.close(1); os.execv({sys.executable!r}, [{sys.executable!r}, '-c', {RUN!r}, {str(small)!r}])"
+    done = subprocess.run([sys.executable, "-c", closed], stderr=subprocess.PIPE, timeout=PATIENCE)
+    assert (done.returncode, done.stderr.decode().count("\n")) == (FAILED, 1)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_an_interruption_prints_nothing():
+    command = [sys.executable, "-c", RUN, SAMPLE]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.read(4)  # it has begun to send
+            process.send_signal(signal.SIGINT)
+            process.stdout.read()
+            assert process.wait(PATIENCE) in (-signal.SIGINT, 0)
+            assert process.stderr.read() == b""
+        finally:
+            process.kill()
+
+
 @pytest.fixture
 def viewer_path(crossing_rrd, monkeypatch):
     """A PATH on which the viewer finds the importer."""

@@ -17,6 +17,8 @@ from carla_recap.model.records import ActorKind
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
+from tests.cli.command import error
+from tests.samples import names_in
 from tests.scene.glb import boxes, color, glb, square
 from tests.show.conftest import SAMPLE
 
@@ -129,3 +131,17 @@ def test_textures_are_said_to_be_ignored(tmp_path):
     with pytest.warns(RecapWarning, match="vehicle.a.b.glb: the textures are not shown"):
         use_models(tmp_path)
     use_models(None)
+
+
+def test_the_command_ends_before_it_writes(tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "vehicle.audi.tt.glb").write_bytes(b"glTF")
+    assert "vehicle.audi.tt.glb" in error("snapshot", SAMPLE, tmp_path / "out.png", "--models", tmp_path / "models")
+    assert names_in(tmp_path) == ["models"]
+
+
+def test_a_link_to_itself_is_an_error_with_its_name(tmp_path: Path):
+    link = tmp_path / "vehicle.tesla.model3.glb"
+    link.symlink_to(link.name)
+    with pytest.raises(RecapError, match=r"model3\.glb: the model cannot be read"):
+        use_models(tmp_path)

@@ -206,6 +206,14 @@ def test_what_follows_a_collision_within_five_seconds_does_not_count(drive: Driv
     assert [miss.start for miss in near_misses(reader, time_to_collision=1.51)] == [pytest.approx(5.25)]
 
 
+@pytest.mark.parametrize(("after", "count"), [(4.8, 0), (5.2, 1)])
+def test_boxes_that_overlap_again_within_five_seconds_do_not_count(drive: Drive, after: float, count: int) -> None:
+    """The other car comes back after the collision; the second touch is not recorded."""
+    other = Mover(2, lambda t: 3.9 + 10 * min(abs(t - 1), abs(t - 1 - after)))
+    reader = drive([straight(1, 0, 0, 0), other], seconds=8, events={20: {"collisions": [(0, 2, 1, 0, 0)]}})
+    assert len(near_misses(reader)) == count
+
+
 def table_of(*movers: Mover, seconds: float = 3.0) -> MotionTable:
     """Return the motion of actors, 20 frames a second; the table ends with its last frame."""
     time = np.arange(round(seconds * 20) + 1) / 20
