@@ -25,6 +25,7 @@ from carla_recap import (
     create_writer,
     formats,
     open_recording,
+    recover,
 )
 from carla_recap.formats.mcap import codec, writer
 from carla_recap.formats.mcap import frames as frames_module
@@ -292,7 +293,8 @@ def test_a_frame_that_contradicts_its_messages_is_an_error(driven, topic, change
 
 
 @pytest.mark.parametrize("later", [1, 10**18])
-def test_messages_of_a_frame_with_several_times_are_an_error_of_each_answer(driven, later):
+def test_messages_of_a_frame_with_several_times_are_an_error_of_each_answer(driven, later, tmp_path):
+    before = images(driven)
     (id,) = (part.id for part in data_records(driven) if isinstance(part, records.Channel) and part.topic == "/frames")
 
     def changed(chunk):
@@ -306,6 +308,8 @@ def test_messages_of_a_frame_with_several_times_are_an_error_of_each_answer(driv
         for question in (lambda: list(recording), lambda: recording.table("spawned"), lambda: recording.table("transforms")):
             with pytest.raises(FormatError, match="the messages at position 14 have several log times"):
                 question()
+    recover(driven, tmp_path / "saved.mcap")
+    assert images(tmp_path / "saved.mcap") == before
 
 
 def test_frames_without_their_channel_are_an_error(small_mcap):

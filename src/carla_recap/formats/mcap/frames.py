@@ -157,8 +157,10 @@ class FrameAssembler:
                     raise self._too_much(chunk)
                 if any(slot[0] in self._channels.specs for slot in run.slots):
                     if before[0] == run.sequence and before[1] != run.time:
-                        text = f"the messages at position {run.sequence} have several log times"
-                        raise FormatError(self._location, chunk.offset, text)
+                        if not self._lenient:
+                            text = f"the messages at position {run.sequence} have several log times"
+                            raise FormatError(self._location, chunk.offset, text)
+                        run = run._replace(time=before[1])
                     before = run.sequence, run.time
                 is_listed = not chunk.channels or chunk.channels.issuperset(slot[0] for slot in run.slots)
                 if not is_listed or not chunk.start <= run.time <= chunk.end:
