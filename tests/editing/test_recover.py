@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from carla_recap import RecapError, RecapWarning, Recovery, convert, open_recording, recover
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import Header
+from carla_recap.queries.score.scoring import score
 from carla_recap.rules.rule_sets import check, make_rules
 from tests import strategies
 from tests.formats.mcap.forge import MAGIC, chunk_places, edited
@@ -65,25 +66,31 @@ def test_a_file_that_is_cut_before_its_events_is_said_to_have_none(tmp_path, kep
         recording = open_recording(tmp_path / "saved.mcap")
     with recording:
         assert recovery.without_events == (not recording.actors)
-    assert ("no spawns, collisions and other events are left" in str(recovery)) == recovery.without_events
+    assert ("spawns, collisions and other events lost" in str(recovery)) == recovery.without_events
     assert recovery.without_events == (kept < 1)
 
 
-def test_what_is_saved_without_events_says_so_and_no_rule_about_them_passes(tmp_path):
+@pytest.mark.parametrize("has_some", [False, True])
+def test_what_is_saved_without_all_events_says_so_and_no_rule_about_them_passes(tmp_path, has_some):
     data = (SAMPLES / "crash.mcap").read_bytes()
-    save(tmp_path / "cut.mcap", data[: int(len(data) * 0.9)])
+    save(tmp_path / "cut.mcap", data[: chunk_places(data)[-3][0] if has_some else int(len(data) * 0.9)])
     with warnings_ignored():
         recover(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
-    rules = make_rules(collisions={"max": 0}, actors={"max": 3}, blocked={"max": 30}, frames={"min": 1})
-    told = r"saved\.mcap: was recovered without its events: spawns, collisions and others are unknown"
+    same = {"baseline": str(tmp_path / "saved.mcap")}
+    rules = make_rules(collisions={"max": 9}, actors={"max": 999}, blocked={"max": 90}, same_as=same, frames={"min": 1})
+    told = r"saved\.mcap: was recovered without all of its events: spawns, collisions and others may be missing"
     with pytest.warns(RecapWarning, match=told):
         convert(tmp_path / "saved.mcap", tmp_path / "again" / "saved.mcap")
     with pytest.warns(RecapWarning, match=told):
         recording = open_recording(tmp_path / "again" / "saved.mcap")
+    expected = "expected a recording with all of its events, found one that was recovered without some of them"
     with recording:
         verdicts = check(recording, rules)
-    assert [verdict.status for verdict in verdicts] == ["error", "error", "error", "pass"]
-    assert verdicts[0].message == "expected a recording with its events, found one that was recovered without them"
+        assert bool(recording.actors) == has_some
+        with pytest.raises(RecapError, match=expected):
+            score(recording.reader, None)
+    assert [verdict.status for verdict in verdicts] == [*["error"] * 4, "pass"]
+    assert {verdict.message for verdict in verdicts[:4]} == {expected}
 
 
 def test_a_lost_chunk_costs_only_its_frames(driven, tmp_path):
@@ -111,7 +118,7 @@ def test_a_lost_chunk_of_events_is_reported(driven, tmp_path):
     save(driven, bytes(data))
     with pytest.warns(RecapWarning, match=r"drive\.mcap: messages of frame \d+, and maybe of others, are missing"):
         recovery = recover(driven, tmp_path / "saved.mcap")
-    assert (recovery.frames, recovery.lost_frames) == (600, 0)
+    assert (recovery.frames, recovery.lost_frames, recovery.without_events) == (600, 0, True)
 
 
 @pytest.mark.parametrize("other", [4, 200])

@@ -15,7 +15,7 @@ from carla_recap.formats.log_scan import PACKETS_LIMIT
 from carla_recap.formats.sources import LocalSource, is_remote, path_of
 from carla_recap.model.batch import Batch
 from carla_recap.model.layout import PayloadError, check
-from carla_recap.model.records import FRAME_END, Group
+from carla_recap.model.records import FRAME_END
 from carla_recap.util.files import partials
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Recovery:
         finished: Whether the source was complete up to its end.
         headless: Whether its header was lost, so that the map is unknown.
         lost_packets: The number of packets of saved frames that contradict their type.
-        without_events: Whether its end was lost, and its events with it: an MCAP file has most of them there.
+        without_events: Whether events of saved frames were lost: an MCAP file has most of them at its end.
     """
 
     frames: int
@@ -59,7 +59,7 @@ class Recovery:
         if not self.finished:
             lost.append("unfinished or damaged at its end")
         if self.without_events:
-            lost.append("no spawns, collisions and other events are left")
+            lost.append("spawns, collisions and other events lost")
         if self.headless:
             lost.append("header and map lost")
         return lost
@@ -96,7 +96,7 @@ def recover(
     check_destination(source, destination, force=force)
     source = _written(source)
     reader, finished, lost_bytes, headless = _open(source)
-    frames, last, duration, lost_packets, without_events = 0, -1, 0.0, 0, not finished
+    frames, last, duration, lost_packets = 0, -1, 0.0, 0
     try:
         with create_writer(destination, reader.header, force=force, format=format) as writer:
             copy = TopicCopy(reader, writer)
@@ -108,14 +108,12 @@ def recover(
                 sound = [packet for packet in frame.packets if _is_sound(packet)][:PACKETS_LIMIT]
                 lost_packets += len(frame.packets) - len(sound)
                 frame.packets = sound
-                without_events = without_events and not any(map(_has_events, sound))
                 writer.write(frame)
                 frames += 1
                 last, duration = frame.index, frame.elapsed
                 copy.write(duration)
             copy.write()
-            without_events = without_events and getattr(reader, "lost_messages", False)
-            writer.without_events = without_events or reader.header.without_events
+            writer.without_events = reader.header.without_events or getattr(reader, "lost_messages", False)
         if isinstance(reader, LogReader):
             cut = sum(map(len, reader.tail()))
             finished = not cut
@@ -177,10 +175,6 @@ def _is_sound(packet: Packet) -> bool:
         return True
     except (FormatError, PayloadError):
         return False
-
-
-def _has_events(packet: Packet) -> bool:
-    return packet.type is not None and packet.type.group is Group.EVENTS and len(packet.records) > 0
 
 
 def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:

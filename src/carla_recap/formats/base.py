@@ -188,6 +188,12 @@ class Reader:
         """
         return list(self.further_messages(topics, elapsed, elapsed))
 
+    def expect_events(self) -> None:
+        """Raise `RecapError` for a recording that was recovered without all of its events."""
+        if self.header.without_events:
+            found = "one that was recovered without some of them"
+            raise RecapError(f"{self.location}: expected a recording with all of its events, found {found}")
+
     def check_open(self) -> None:
         """Raise `Closed` if it was closed."""
         self._source.check_open()
@@ -200,7 +206,7 @@ class Reader:
 class Writer(AtomicFile):
     """A recording that is being written; see `AtomicFile`."""
 
-    without_events = False  # whether its events are lost; an MCAP file says so
+    without_events = False  # whether some or all of its events are lost; an MCAP file says so
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""

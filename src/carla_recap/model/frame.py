@@ -35,7 +35,7 @@ class Header:
         shifted: Whether doors, wheels and bikers have the packet ids 21, 22, 23, as some development builds write them.
         raw: CARLA's header as read, where it differs from what the fields above would be written as.
         parameters: The parameters of the simulation by name, such as its seed; only MCAP files have them.
-        without_events: Whether it was recovered without its spawns, collisions and other events; only MCAP files say so.
+        without_events: Whether it was recovered without all of its spawns, collisions and other events; only MCAP says so.
     """
 
     map_name: str

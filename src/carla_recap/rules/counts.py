@@ -193,6 +193,7 @@ class SameAs(Condition):
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         reader = facts.recording.reader
+        reader.expect_events()
         path = self._path(str(getattr(reader, "location", reader.path)))
         with open_recording(path) as baseline:
             found = differences(baseline.reader, reader, tolerance=self.tolerance.value)

@@ -169,13 +169,8 @@ class Facts:
     @_once
     def actors(self) -> ActorLives:
         """All actors."""
-        self._check_events()
+        self.recording.reader.expect_events()
         return ActorLives(actors(self.recording.reader))
-
-    def _check_events(self) -> None:
-        """Raise `RecapError` for a recording that was recovered without its events."""
-        if self.recording.header.without_events:
-            raise RecapError("expected a recording with its events, found one that was recovered without them")
 
     @property
     @_once
@@ -187,7 +182,7 @@ class Facts:
     @_once
     def incidents(self) -> Sequence[Incident]:
         """The incidents of all kinds that conditions are about, in order of time."""
-        self._check_events()
+        self.recording.reader.expect_events()
         wanted = frozenset(kind for each in self._needs for kind in each.incidents)
         of_road = {kind for kind in wanted if KINDS[kind].needs_roads}
         roads = self._roads if of_road else None

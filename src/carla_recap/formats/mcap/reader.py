@@ -71,7 +71,7 @@ class McapReader(Reader):
             self._steady = told.get("steady_clock") == "1"
             if told.get(schema.WITHOUT_EVENTS) == "1":
                 self.header = replace(self.header, without_events=True)
-                text = "was recovered without its events: spawns, collisions and others are unknown"
+                text = "was recovered without all of its events: spawns, collisions and others may be missing"
                 warnings.warn(f"{self.location}: {text}", RecapWarning, stacklevel=2)
         except BaseException:
             self._source.close()

@@ -134,7 +134,7 @@ EXPORT_METADATA: Final = "carla_recap.export"
 EVENTS_AT: Final = "events_at"
 """In the extent's metadata: the offset from which on all chunks of events come; missing where they are among the others."""
 WITHOUT_EVENTS: Final = "without_events"
-"""In the extent's metadata: "1" if the recording was recovered without its events; else missing."""
+"""In the extent's metadata: "1" if the recording was recovered without all of its events; else missing."""
 CHECKSUM: Final = "checksum"
 PARAMETERS_LIMIT: Final = 256 << 10
 """The most bytes of all parameters."""

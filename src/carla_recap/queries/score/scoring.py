@@ -162,11 +162,12 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     """Return the score of a recording; without a route, infractions are judged along the driven path.
 
     Raises:
-        RecapError: The map is unknown, there is no such vehicle, or the route does not fit the map.
+        RecapError: The map is unknown, there is no such vehicle, the route does not fit the map, or events were lost.
         FormatError: The file contradicts its format.
         RecapWarning: A leg of the route is many times its straight distance, a speed is unknown, or a frame lasts long.
     """
     options = options or ScoreOptions()
+    source.expect_events()
     path = find_map_of(source, options.road_map, needed=True)
     assert path is not None
     town, network = load_lane_map(path), load_road_network(path)
