@@ -7,7 +7,8 @@ from typing import Any
 
 from carla_recap import Player, open_recording
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.scene.captions import EventText, Line
+from carla_recap.queries.incidents import IncidentOptions
+from carla_recap.scene.captions import EventText, Line, PlayedIncidents
 from tests.replay.scripts import pose, spawn, write
 
 
@@ -52,3 +53,17 @@ def test_many_spawns_and_destructions_are_counted(tmp_path: Path) -> None:
         "10 actors appear: 10 walkers",
         "10 actors disappear: 10 walkers",
     ]
+
+
+def test_near_misses_that_are_found_with_the_measures_are_not_shown_unasked(tmp_path: Path) -> None:
+    """A car stops 2 m before another one."""
+    frames: list[dict[str, Any]] = [{"transforms": [pose(1, 75 * min(n, 40)), pose(2, 3600)]} for n in range(80)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2)]
+    with open_recording(write(tmp_path / "in.log", frames, tick=0.05)) as recording:
+        asked = IncidentOptions(kinds=["near miss"]), IncidentOptions(kinds=["hard braking"])
+        for options, count in zip(asked, (1, 0), strict=True):
+            player = Player(recording)
+            played = PlayedIncidents(player, options=options)
+            list(player.batches())
+            assert len(played.found()) == count
+            assert played.series() is not None

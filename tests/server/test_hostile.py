@@ -197,6 +197,16 @@ def test_endless_calls_leave_time_for_other_clients(world: carla.World, port: in
             ticks_quickly(world)
 
 
+def test_a_stalled_subscriber_delays_no_tick(world: carla.World, port: int) -> None:
+    connections = [socket_to(port + 1) for _ in range(50)]
+    for connection in connections:
+        connection.sendall(struct.pack("<I", 1))
+    for _ in range(500):
+        ticks_quickly(world)
+    for connection in connections:
+        connection.close()
+
+
 def test_wrong_types_are_errors_of_every_call(world: carla.World, port: int) -> None:
     from carla_recap.server.rpc.registry import CALLS
 
