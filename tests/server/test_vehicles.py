@@ -96,7 +96,7 @@ def test_doors_open_and_close(inside: Inside, parked: Vehicle) -> None:
     inside.call("open_vehicle_door", parked.id, 6)
     inside.call("close_vehicle_door", parked.id, 0)
     assert parked.open_doors == {1, 2, 3, 4, 5}
-    with pytest.raises(RecapError, match="a door: 0 to 6"):
+    with pytest.raises(RecapError, match="a door: expected 0 to 6, found 7"):
         inside.call("open_vehicle_door", parked.id, 7)
 
 

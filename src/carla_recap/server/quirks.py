@@ -25,7 +25,7 @@ are never exactly in line | it drives into a car that stands in its lane | `quir
 | client and manager wait for each other for ever | `traffic_manager.TrafficManagerCycle` \
 | `test_a_tick_passes_once_the_manager_waits_for_it`, `test_a_manager_that_has_missed_a_tick_is_woken` |
 | on a machine without a route to other networks, the client registers its traffic manager without host and port \
-| the manager cannot be woken, no other client finds it, a second is refused | `session.add_traffic_manager_running` \
+| the manager cannot be woken, no other client finds it, a second is refused | `calls.session.add_traffic_manager_running` \
 | `test_a_manager_without_an_address_has_the_port_that_its_client_asked_about` |
 """
 
