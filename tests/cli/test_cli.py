@@ -392,9 +392,10 @@ def test_the_reader_of_a_pipe_closes_it():
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("arguments", [["info"], ["actors", "--json"]], ids=" ".join)
 def test_a_full_disk_behind_stdout(arguments):
+    environment = {name: value for name, value in ENVIRONMENT.items() if name != "PYTHONUNBUFFERED"}
     with Path("/dev/full").open("wb") as full:
         command = [COMMAND, arguments[0], CROSSING, *arguments[1:]]
-        done = subprocess.run(command, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
+        done = subprocess.run(command, env=environment, stdout=full, stderr=subprocess.PIPE, timeout=PATIENCE, check=False)
     assert done.returncode == 2
     assert the_line(done.stderr) == "output: No space left on device"
 

@@ -127,6 +127,13 @@ def test_clips(tmp_path):
     assert "is not empty" in error("clips", CROSSING, tmp_path / "clips")
 
 
+def test_clips_with_videos(tmp_path):
+    pytest.importorskip("av", reason="the extra video is not installed")
+    words = ["--kinds", "collision", "--before", "0.1", "--after", "0.1", "--no-rrd", "--video"]
+    said("clips", CROSSING, tmp_path / "clips", *words)
+    assert sorted(path.suffix for path in (tmp_path / "clips").iterdir()) == [".mcap", ".mcap", ".mp4", ".mp4"]
+
+
 @pytest.mark.parametrize("option", [None, "--no-rrd", "--rrd"])
 def test_clips_need_no_rerun(tmp_path, option):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")

@@ -47,6 +47,14 @@ def test_what_had_nothing_to_judge_is_said_in_the_output_of_its_test():
     assert [(child.tag, child.text) for child in case] == [("system-out", verdict.message)]
 
 
+def test_warnings_of_a_recording_that_passes_are_in_the_output_of_its_tests():
+    verdict = Verdict("calm", "pass", "no hard braking")
+    (case,) = ElementTree.fromstring(junit([CheckedRecording("a.log", (verdict,), warnings=("it is cut short",))])).iter(
+        "testcase"
+    )
+    assert [(child.tag, child.text) for child in case] == [("system-out", "it is cut short")]
+
+
 @pytest.mark.parametrize("there", [b"", b"<?xml version='1.0'?>", b"\xef\xbb\xbf<?xml", b"\n<testsuites/>"])
 def test_a_file_of_verdicts_is_replaced_whoever_wrote_it(there, tmp_path):
     (tmp_path / "out.xml").write_bytes(there)

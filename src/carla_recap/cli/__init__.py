@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import re
 import signal
 import sys
 import warnings
+from contextlib import suppress
 from importlib import import_module
 from keyword import iskeyword
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -152,9 +155,17 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except click.Abort:
         return INTERRUPTED
     except OSError as error:
+        if error.filename is None:
+            _discard_output()
         return _fail(f"{error.filename or 'output'}: {error.strerror}")
     except MemoryError:
         return _fail("not enough memory")
+
+
+def _discard_output() -> None:
+    """Have what is left of the output, which cannot be written, go nowhere: Python writes it at its end."""
+    with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 def _fail(message: str) -> int:

@@ -173,17 +173,17 @@ def clips(
     with open_recording(source) as recording:
         roads = opening.road_map_of(recording, wanted.road_map) if rerun is not False else None
         town = partial(opening.town_of, recording, wanted.road_map)
-    written = run(
-        source,
-        folder,
-        wanted,
-        suffix=f".{suffix}",
-        rerun=rerun,
-        road_map=roads,
-        town=town,
-        progress=watch_incidents("cutting"),
-        **how,
-    )
+        written = run(
+            source,
+            folder,
+            wanted,
+            suffix=f".{suffix}",
+            rerun=rerun,
+            road_map=roads,
+            town=town,
+            progress=watch_incidents("cutting"),
+            **how,
+        )
     for each in written:
         wrote(each.recording, each.incident.text, **_facts(each))
     if not written:

@@ -87,8 +87,9 @@ def _add(suite: Element, checked: CheckedRecording, verdict: Verdict) -> None:
     names = {"classname": _clean(checked.recording), "name": _clean(verdict.rule)}
     case = SubElement(suite, "testcase", {**names, "time": _seconds(verdict.seconds)})
     if verdict.status == "pass":
-        if not verdict.applies:
-            SubElement(case, "system-out").text = _clean(verdict.message)
+        remarks = checked.warnings if verdict.applies else (verdict.message, *checked.warnings)
+        if remarks:
+            SubElement(case, "system-out").text = _clean("\n".join(remarks))
         return
     tag, kind = ("failure", "rule") if verdict.status == "fail" else ("error", "recording")
     lines = [verdict.message, *verdict.details]
