@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import pytest
 from click.testing import CliRunner
 
+from carla_recap import RecapWarning, recover
 from carla_recap.cli.check import check
 from carla_recap.errors import RecapError
 from tests.cli.command import error, on_terminal, run, wrote
@@ -52,6 +53,15 @@ def test_verdicts_are_printed_the_worst_first(runs):
 def test_the_exit_code_is_that_of_the_worst_verdict(name, code):
     done = run("check", SAMPLES / f"{name}.mcap", "--rules", RULES)
     assert (done.returncode, done.stderr) == (code, b"")
+
+
+def test_rules_with_the_same_error_are_counted(tmp_path):
+    path = tmp_path / "recovered.mcap"
+    cut = (SAMPLES / "crash.mcap").read_bytes()[:250_000]
+    with pytest.warns(RecapWarning, match="are missing"):
+        recover(save(tmp_path / "cut.mcap", cut), path)
+    line = run("check", path, "--rules", RULES).stdout.decode().splitlines()[0]
+    assert line.split(maxsplit=2)[2].startswith("8 rules  expected a recording with all of its events")  # and not its length
 
 
 @pytest.mark.parametrize(("options", "code", "status"), [((), 0, "pass"), (("--strict",), 1, "fail")])

@@ -204,7 +204,7 @@ def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
         return [("pass", name, "", "", rules), *idle]
     bad = [verdict for status in ("error", "fail") for verdict in checked.verdicts if verdict.status == status]
     if len(bad) > 1 and len({(verdict.status, verdict.message) for verdict in bad}) == 1:
-        return [(checked.status, name, rules, "", bad[0].message), *idle]
+        return [(checked.status, name, counted(len(bad), "rule"), "", bad[0].message), *idle]
     return [(each.status, name, visible(each.rule), _seconds(each.time), each.message) for each in bad] + idle
 
 

@@ -113,7 +113,7 @@ def recover(
                 last, duration = frame.index, frame.elapsed
                 copy.write(duration)
             copy.write()
-            writer.without_events = reader.header.without_events or getattr(reader, "lost_messages", False)
+            writer.without_events = reader.header.without_events or reader.lost_messages
         if isinstance(reader, LogReader):
             cut = sum(map(len, reader.tail()))
             finished = not cut

@@ -82,6 +82,7 @@ class Reader:
     path: Path  # its path; of a URL, one with the same name, which says nothing about this machine
     location: str  # its path or URL, as given
     header: Header
+    lost_messages = False  # whether messages of frames that were read are missing
     _source: ByteSource
 
     @property

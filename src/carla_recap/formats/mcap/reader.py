@@ -62,7 +62,6 @@ class McapReader(Reader):
         self._source: ByteSource = LocalSource(file) if isinstance(file, str | PathLike) else file
         self.path, self.location = self._source.path, self._source.location
         self._lenient = lenient
-        self.lost_messages = False  # whether messages of frames that were read are missing
         try:
             self._summary = summary or read_summary(self._source)
             self.header = header or self._read_header()
