@@ -14,9 +14,13 @@ MOST = 10_000  # bytes; a plane's buffers are larger
 class MallocInfo(ctypes.Structure):
     """What glibc says of its heap; `uordblks` and `hblkhd` are the bytes in use, in arenas and in mappings of their own."""
 
-    _fields_ = tuple(
-        (name, ctypes.c_size_t)
-        for name in "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost".split()
+    _fields_ = (
+        ("arena", ctypes.c_size_t),
+        ("counts", ctypes.c_size_t * 3),
+        ("hblkhd", ctypes.c_size_t),
+        ("free", ctypes.c_size_t * 2),
+        ("uordblks", ctypes.c_size_t),
+        ("ends", ctypes.c_size_t * 2),
     )
 
 
