@@ -14,53 +14,63 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 import carla_recap
 from benchmarks.hour import DIRECTORY, RATE
-from benchmarks.measuring import COMMAND, Line, Subject, best, convert, cpu_time, cut, medians, run, timed
+from benchmarks.measuring import (
+    COMMAND,
+    Line,
+    Run,
+    Subject,
+    at_least,
+    at_most,
+    convert,
+    cut,
+    fastest,
+    line,
+    medians,
+    memory_line,
+    recap,
+    run,
+    timed,
+)
+from carla_recap.output.text import text
+from carla_recap.queries.info import info as info_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from carla_recap import Recording
-    from carla_recap.formats.base import Reader
-    from carla_recap.queries.blocked import Blocked
-    from carla_recap.queries.collisions import Collisions
-    from carla_recap.queries.info import Info
-    from carla_recap.queries.measures.road import RoadEvent
 
-    Query = Callable[[Reader], Collisions | Blocked | Info]
+    Query = Callable[[Recording], object]
 
 TRAJECTORIES: Final = (
     "import sys; from carla_recap import open_recording; r = open_recording(sys.argv[1]); "
     "r.trajectory(r.heroes[0].id) if sys.argv[2] == 'one' else r.trajectories()"
 )
-DIFFERENCES: Final = """
-import sys
-from carla_recap import open_recording
-open_recording(sys.argv[1]).diff(open_recording(sys.argv[2])).summary
-"""
 STARTED: Final = 0.3  # s, for the start of such a process
 NUMBER: Final = re.compile(r"(?<!\w)-?(?:\d+(?:\.\d+)?(?:e[+-]\d+)?|nan|inf)\b")
-SMALL: Final = 10 * RATE  # frames of a small recording
-QUERIES: Final[dict[str, Callable[[Recording], object]]] = {
-    "collisions": lambda recording: list(recording.collisions()),
-    "blocked": lambda recording: list(recording.blocked()),
-    "incidents": lambda recording: list(recording.incidents()),
-    "info": lambda recording: recording.info,
+EVENTS: Final[dict[str, Query]] = {
+    "collisions": lambda recording: "".join(text(recording.collisions())),
+    "info": lambda recording: "".join(text(info_of(recording.reader))),
 }
+INTERVALS: Final[dict[str, Query]] = {
+    "blocked": lambda recording: "".join(text(recording.blocked())),
+    "incidents": lambda recording: list(recording.incidents()),
+}
+RULES: Final = ("red light", "wrong way", "off road", "stop sign", "speeding")
 
 
 def log_to_mcap(subject: Subject) -> Iterator[Line]:
-    yield from _conversion(".log → .mcap", subject.seconds, subject.log, subject.log.with_suffix(".mcap"), 1200)
+    yield from _conversion(".log → .mcap", subject, subject.log, subject.log.with_suffix(".mcap"), 1200)
 
 
 def mcap_to_log(subject: Subject) -> Iterator[Line]:
     back = DIRECTORY / "back.log"
-    yield from _conversion(".mcap → .log", subject.seconds, subject.mcap, back, 1500)
+    yield from _conversion(".mcap → .log", subject, subject.mcap, back, 1500)
     equal = filecmp.cmp(subject.log, back, shallow=False)
     yield Line(".log → .mcap → .log", f"{back.stat().st_size:,} bytes", "", "equal", equal)
     back.unlink()
@@ -72,60 +82,45 @@ def size(subject: Subject) -> Iterator[Line]:
 
 def trajectories(subject: Subject) -> Iterator[Line]:
     """All trajectories, and one, as processes; the goals are those of an hour, or of the same share of it."""
-    share = subject.seconds / 3600
+    share = subject.hours
     for (name, path), all_goal, one_goal in zip(subject.both, (4.0, 6.0), (1.0, 2.0), strict=True):
-        for what, which, goal, memory in (
-            ("all trajectories", "all", all_goal, 1500e6 * share + 100e6 * (1 - share)),
-            ("one trajectory", "one", one_goal, 150e6),
-        ):
-            taken = best(partial(run, sys.executable, "-c", TRAJECTORIES, path, which))
+        for which, goal, memory in (("all", all_goal, 1500 * share + 100 * (1 - share)), ("one", one_goal, 150)):
+            what = f"{which} {'trajectories' if which == 'all' else 'trajectory'}, {name}"
+            runs = [run(sys.executable, "-c", TRAJECTORIES, path, which) for _ in range(3)]
             limit = goal * share + STARTED * (1 - share)
-            yield Line(f"{what}, {name}", f"{taken.seconds:.2f} s", "", f"≤ {limit:.2f} s", taken.seconds <= limit)
-            yield _memory(f"{what}, {name}", taken.peak, memory)
+            yield line(what, at_most(min(each.seconds for each in runs), "{:.2f} s", limit))
+            yield memory_line(what, max(each.peak for each in runs), memory)
 
 
 def collisions(subject: Subject) -> Iterator[Line]:
-    from carla_recap.queries.collisions import collisions
-
-    yield from _query("collisions", collisions, subject)
+    yield from _events("collisions", subject)
 
 
 def info(subject: Subject) -> Iterator[Line]:
-    from carla_recap.queries.info import info
-
-    yield from _query("info", info, subject)
+    yield from _events("info", subject)
 
 
 def blocked(subject: Subject) -> Iterator[Line]:
     """CARLA's distance, for which an MCAP file stores stationary intervals, and another one."""
-    from carla_recap.queries.blocked import blocked
-
-    asked = [(name, path, blocked) for name, path in subject.both]
-    other = partial(blocked, min_distance=9.0)
-    asked += [(f"by 9 cm, {name}", path, other) for name, path in subject.both]
-    for (name, path, query), goal in zip(asked, (10, 12, 10, 12), strict=True):
-        seconds = min(timed(partial(ask, query, path)) for _ in range(3))
-        each = seconds / subject.frames * 1e6
-        yield Line(f"blocked, {name}", f"{seconds:.2f} s", f"{each:.1f} µs a frame", f"≤ {goal} µs a frame", each <= goal)
+    for name, path in subject.both:
+        yield _each_frame(f"blocked, {name}", INTERVALS["blocked"], path, subject, 12)
+    by_9_cm = partial(carla_recap.Recording.blocked, min_distance=9.0)
+    yield _each_frame("blocked, by 9 cm, .mcap", lambda recording: list(by_9_cm(recording)), subject.mcap, subject, 12)
 
 
 def incidents(subject: Subject) -> Iterator[Line]:
     for name, path in subject.both:
-        each = min(timed(partial(_use, QUERIES["incidents"], path)) for _ in range(3)) / subject.frames * 1e6
-        total = f"{each * subject.frames / 1e6:.2f} s"
-        yield Line(f"incidents, {name}", total, f"{each:.1f} µs a frame", "≤ 20 µs a frame", each <= 20)
+        yield _each_frame(f"incidents, {name}", INTERVALS["incidents"], path, subject, 20)
 
 
 def differences(subject: Subject) -> Iterator[Line]:
     """The recording and its conversion, which are equal, and a copy in which all positions differ."""
     moved = DIRECTORY / "moved.log"
     _move(subject.log, moved)
-    for what, other in ((".log and .mcap", subject.mcap), ("moved .log", moved)):
-        peaks: list[int] = []
-        seconds = cpu_time(lambda: peaks.append(run(sys.executable, "-c", DIFFERENCES, subject.log, other).peak))  # noqa: B023
-        limit = 14 * subject.seconds / 3600 + 2 * STARTED
-        yield Line(f"diff, {what}, processor time", f"{seconds:.1f} s", "", f"≤ {limit:.1f} s", seconds <= limit)
-        yield _memory(f"diff, {what}", peaks[0], 700e6)
+    for what, other in (("diff, .log and .mcap", subject.mcap), ("diff, moved .log", moved)):
+        taken = recap("diff", subject.log, other, codes=(0, 1))
+        yield line(f"{what}, processor time", at_most(taken.cpu, "{:.1f} s", 14 * subject.hours + 2 * STARTED))
+        yield memory_line(what, taken.peak, 700)
     moved.unlink()
 
 
@@ -150,33 +145,27 @@ def _move(source: Path, destination: Path) -> None:
 
 
 def info_all(subject: Subject) -> Iterator[Line]:
-    from carla_recap.queries.info import info
+    def everything() -> str:
+        return _use(lambda recording: "".join(text(info_of(recording.reader, all=True))), minute)[0]
 
-    everything = partial(info, all=True)
     minute = cut(subject.log, 60 * RATE)
-    numbers = sum(1 for _ in NUMBER.finditer(ask(everything, minute)[0]))
-    seconds = min(timed(partial(ask, everything, minute)) for _ in range(3))
-    each = seconds / numbers * 1e6
-    what = f"info --all, {min(subject.seconds, 60):.0f} s"
-    yield Line(what, f"{seconds:.2f} s", f"{each:.2f} µs a number", "≤ 0.25 µs a number", each <= 0.25)
+    numbers = sum(1 for _ in NUMBER.finditer(everything()))
+    seconds = fastest(everything)
+    each = at_most(seconds / numbers * 1e6, "{:.2f} µs a number", 0.25)
+    yield line(f"info --all, {min(subject.seconds, 60):.0f} s", f"{seconds:.2f} s", each)
 
 
 def start(subject: Subject) -> Iterator[Line]:
     """Queries of a small file as processes, in proportion to a process that only imports numpy."""
-    log = cut(subject.log, SMALL)
+    log = cut(subject.log, 10 * RATE)
     mcap = log.with_suffix(".mcap")
     convert(log, mcap)
     compileall.compile_dir(Path(carla_recap.__file__).parent, quiet=2)  # as an installation does
-    works = {
-        "--help": partial(run, COMMAND, "--help"),
-        "collisions, 10 s, .log": partial(run, COMMAND, "collisions", log),
-        "collisions, 10 s, .mcap": partial(run, COMMAND, "collisions", mcap),
-        "blocked, 10 s, .log": partial(run, COMMAND, "blocked", log),
-    }
-    numpy, *taken = medians(partial(run, sys.executable, "-c", "import numpy"), *works.values())
+    works = {"--help": ["--help"], **{f"collisions, 10 s, {path.suffix}": ["collisions", path] for path in (log, mcap)}}
+    processes = [(sys.executable, "-c", "import numpy"), *((COMMAND, *arguments) for arguments in works.values())]
+    numpy, *taken = medians(*(partial(run, *process) for process in processes))
     for what, seconds in zip(works, taken, strict=True):
-        ratio = seconds / numpy
-        yield Line(f"carla-recap {what}", f"{seconds * 1e3:.0f} ms", f"{ratio:.2f} x numpy", "≤ 1.3 x", ratio <= 1.3)
+        yield line(f"carla-recap {what}", f"{seconds * 1e3:.0f} ms", at_most(seconds / numpy, "{:.2f} x numpy", 1.3))
 
 
 def real(subject: Subject) -> Iterator[Line]:
@@ -189,35 +178,31 @@ def real(subject: Subject) -> Iterator[Line]:
 
 def of_hero(subject: Subject) -> Iterator[Line]:
     """The measures of the hero against all."""
-    yield _asked("measures of the hero", subject, lambda recording: recording.measures("hero"), 12.0)
+    yield _processor_time("measures of the hero", subject, lambda recording: recording.measures("hero"), 12.0)
 
 
 def near_misses(subject: Subject) -> Iterator[Line]:
     """The near misses of all pairs; the paths of the hour's vehicles cross without any rules."""
-    yield _asked("near misses of all", subject, lambda recording: recording.incidents(kinds=["near miss"]), 12.0)
+    found = partial(carla_recap.Recording.incidents, kinds=["near miss"])
+    yield _processor_time("near misses of all", subject, found, 12.0)
 
 
 def rules(subject: Subject) -> Iterator[Line]:
     """What vehicles do in relation to the road in the hour, whose vehicles drive across the roads of the built-in town."""
-    yield _asked("rules of the road", subject, lambda recording: broken_rules(recording.reader), 15.0)
+    yield _processor_time("rules of the road", subject, broken_rules, 15.0)
 
 
 def remote(subject: Subject) -> Iterator[Line]:
     """Queries of a recording on a web server of this machine, each of whose answers takes 50 ms."""
-    from carla_recap import open_recording
     from tests.web import serve
 
     with serve(subject.mcap.parent.absolute()) as server:
         server.delay = 0.05
-        url = f"{server.url}/{subject.mcap.name}"
-        for name, query in QUERIES.items():
+        for name, query in (EVENTS | INTERVALS).items():
             taken = []
             for _ in range(3):
                 server.reset()
-                begin = time.perf_counter()
-                with open_recording(url) as recording:
-                    query(recording)
-                taken.append(time.perf_counter() - begin)
+                taken.append(timed(lambda: _use(query, f"{server.url}/{subject.mcap.name}")))  # noqa: B023
             count = len(server.requests)
             read = f"{count} request{'s' if count > 1 else ''}, {server.sent / 1e6:.2f} MB"
             ok = count <= 2 and server.sent <= 1_000_000
@@ -244,21 +229,26 @@ ROWS: Final = (
 )
 
 
-def ask(query: Query, path: Path) -> tuple[str, int | None]:
-    """Return the text of a query, and the bytes of the file that were read, if the reader counts them."""
-    from carla_recap.formats import open_reader
-    from carla_recap.output.text import text
+def broken_rules(recording: Recording) -> list[Any]:
+    """Return the rules of the road that vehicles break in a recording, by the map of the built-in town."""
+    from carla_recap.roads import find_road_network
 
-    reader = open_reader(path)
-    try:
-        answer = "".join(text(query(reader)))
-        return answer, getattr(reader, "bytes_read", None)
-    finally:
-        reader.close()
+    return list(recording.incidents(kinds=RULES, roads=find_road_network("Brickfield")))
 
 
-def loop_over_headers(log: Path, offset: int) -> None:
-    """Read the packet headers of a CARLA log in a bare Python loop, from an offset on: the least that a query needs."""
+def _use(query: Query, location: Path | str) -> tuple[Any, int | None]:
+    """Return the answer to a query, and the bytes of the file that were read, if the reader counts them."""
+    with carla_recap.open_recording(location) as recording:
+        return query(recording), getattr(recording.reader, "bytes_read", None)
+
+
+def _loop_over_headers(log: Path) -> None:
+    """Read the packet headers of a CARLA log in a bare Python loop: the least that a query needs."""
+    from carla_recap.formats.carla_log import LogReader, pack_header
+
+    reader = LogReader(log)
+    reader.close()
+    offset = len(pack_header(reader.header))
     with (
         log.open("rb") as file,
         mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped,
@@ -270,73 +260,40 @@ def loop_over_headers(log: Path, offset: int) -> None:
             offset += 5 + length
 
 
-def _header_size(log: Path) -> int:
-    from carla_recap.formats.carla_log import LogReader, pack_header
-
-    reader = LogReader(log)
-    reader.close()
-    return len(pack_header(reader.header))
-
-
-def _use(use: Callable[[Recording], object], path: Path) -> object:
-    from carla_recap import open_recording
-
-    with open_recording(path) as recording:
-        return use(recording)
-
-
-def _asked(name: str, subject: Subject, query: Callable[[Recording], object], hour: float) -> Line:
+def _processor_time(name: str, subject: Subject, query: Query, hour: float) -> Line:
     """The processor time of a query of the recording, whose goal is that of an hour, or of the same share of it."""
     recorded = subject.mcap  # which may be converted first
-    seconds = cpu_time(lambda: _use(query, recorded))
-    goal = max(hour * subject.seconds / 3600, 1.0)
+    seconds = timed(lambda: _use(query, recorded), time.process_time)
     each = f"{seconds / subject.frames * 1e6:.0f} µs a frame"
-    return Line(f"{name}, {subject.length}", f"{seconds:.1f} s", each, f"≤ {goal:.0f} s", seconds <= goal)
+    return line(f"{name}, {subject.length}", at_most(seconds, "{:.1f} s", max(hour * subject.hours, 1.0)), each)
 
 
-def broken_rules(reader: Reader) -> list[RoadEvent]:
-    """Return the rules of the road that vehicles break in a recording of the built-in town."""
-    from carla_recap.queries.measures.road import TYPES, RoadSearch
-    from carla_recap.queries.recorded_actors import actors
-    from carla_recap.roads import find_road_network
-
-    roads = find_road_network("Brickfield")
-    assert roads is not None
-    search = RoadSearch(reader, roads, actors(reader))
-    for batch in reader.batches(TYPES):
-        search.add(batch)
-    return search.finish()
+def _each_frame(what: str, query: Query, path: Path, subject: Subject, goal: float) -> Line:
+    seconds = fastest(lambda: _use(query, path))
+    return line(what, f"{seconds:.2f} s", at_most(seconds / subject.frames * 1e6, "{:.1f} µs a frame", goal))
 
 
-def _conversion(what: str, seconds: float, source: Path, target: Path, goal: int) -> Iterator[Line]:
-    taken = best(partial(convert, source, target))
-    factor = seconds / taken.seconds
-    yield Line(what, f"{taken.seconds:.2f} s", f"{factor:,.0f} x real time", f"≥ {goal:,} x", factor >= goal)
-    yield _memory(what, taken.peak, 100e6)
-
-
-def _memory(what: str, peak: int, goal: float) -> Line:
-    return Line(f"{what}, peak memory", f"{peak / 1e6:.0f} MB", "", f"≤ {goal / 1e6:,.0f} MB", peak <= goal)
+def _conversion(what: str, subject: Subject, source: Path, target: Path, goal: int) -> Iterator[Line]:
+    runs: list[Run] = [convert(source, target) for _ in range(3)]
+    seconds = min(each.seconds for each in runs)
+    yield line(what, f"{seconds:.2f} s", at_least(subject.seconds / seconds, "{:,.0f} x real time", goal))
+    yield memory_line(what, max(each.peak for each in runs), 100)
 
 
 def _size(what: str, log: Path, mcap: Path, goal: float) -> Line:
     sizes = mcap.stat().st_size, log.stat().st_size
-    ratio = sizes[0] / sizes[1]
     megabytes = " / ".join(f"{size / 1e6:.1f}" for size in sizes) + " MB"
-    return Line(f".mcap / .log, {what}", megabytes, f"{ratio:.3f}", f"≤ {goal}", ratio <= goal)
+    return line(f".mcap / .log, {what}", megabytes, at_most(sizes[0] / sizes[1], "{:.3f}", goal))
 
 
-def _query(name: str, query: Query, subject: Subject) -> Iterator[Line]:
+def _events(name: str, subject: Subject) -> Iterator[Line]:
     """A query that needs events only: by index in MCAP; in a log in proportion to a bare loop over the packet headers."""
-    mcap = subject.mcap
-    (seconds,) = medians(lambda: ask(query, mcap))
-    yield Line(f"{name}, .mcap", f"{seconds * 1e3:.0f} ms", "", "< 30 ms", seconds < 0.03)
-    _, read = ask(query, mcap)
-    if read is not None:
-        share = read / mcap.stat().st_size
-        yield Line(f"{name}, .mcap, bytes read", f"{read:,}", f"{100 * share:.2f} %", "≤ 1 %", share <= 0.01)
-    loop = partial(loop_over_headers, subject.log, _header_size(subject.log))
-    rounds = [(timed(lambda: ask(query, subject.log)), timed(loop)) for _ in range(3)]
+    query, mcap = EVENTS[name], subject.mcap
+    (seconds,) = medians(lambda: _use(query, mcap))
+    yield line(f"{name}, .mcap", at_most(seconds * 1e3, "{:.0f} ms", 30))
+    _, read = _use(query, mcap)
+    assert read is not None
+    yield line(f"{name}, .mcap, bytes read", f"{read:,}", at_most(100 * read / mcap.stat().st_size, "{:.2f} %", 1))
+    rounds = [(timed(lambda: _use(query, subject.log)), timed(lambda: _loop_over_headers(subject.log))) for _ in range(3)]
     seconds, bare = map(min, zip(*rounds, strict=True))
-    ratio = seconds / bare
-    yield Line(f"{name}, .log", f"{seconds * 1e3:.0f} ms", f"{ratio:.2f} x bare loop", "≤ 0.5 x", ratio <= 0.5)
+    yield line(f"{name}, .log", f"{seconds * 1e3:.0f} ms", at_most(seconds / bare, "{:.2f} x bare loop", 0.5))

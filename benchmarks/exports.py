@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import shutil
-from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.hour import DIRECTORY
-from benchmarks.measuring import COMMAND, Line, Missing, Subject, best, medians, run
+from benchmarks.measuring import Line, Missing, Subject, at_least, at_most, line, medians, memory_line, recap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,85 +19,61 @@ FIRST_FRAME: Final = "return performance.getEntriesByName('recap-first-frame').m
 
 def rerun(subject: Subject) -> Iterator[Line]:
     target = DIRECTORY / "hour.rrd"
-    taken = best(partial(run, COMMAND, "export", "--force", subject.mcap, target), times=2)
-    size = target.stat().st_size / 1e6
+    what = f"{subject.length} to .rrd"
+    yield from _export(what, subject, subject.mcap, target)
+    yield line(f"{what}, size", at_most(target.stat().st_size / 1e6, "{:.0f} MB", 390))
     target.unlink()
-    what, factor = f"{subject.length} to .rrd", subject.seconds / taken.seconds
-    limit = max(10 * subject.seconds / 3600, 2)
-    yield Line(what, f"{taken.seconds:.1f} s", f"{factor:,.0f} x real time", f"≤ {limit:.0f} s", taken.seconds <= limit)
-    yield Line(f"{what}, peak memory", f"{taken.peak / 1e6:.0f} MB", "", "≤ 400 MB", taken.peak <= 400e6)
-    yield Line(f"{what}, size", f"{size:.0f} MB", "", "≤ 390 MB", size <= 390)
 
 
 def foxglove(subject: Subject) -> Iterator[Line]:
-    target = DIRECTORY / "foxglove.mcap"
     seconds = min(subject.seconds / 2, 10 * MINUTE)
-    taken = best(partial(run, COMMAND, "export", "--force", subject.mcap, target, "--duration", str(seconds)), times=2)
-    factor = seconds / taken.seconds
-    ratio = f"{factor:.0f} x real time"
-    yield Line(f"{seconds:,.0f} s to Foxglove", f"{taken.seconds:.1f} s", ratio, "≥ 400 x", factor >= 400)
+    taken = recap("export", "--force", subject.mcap, DIRECTORY / "foxglove.mcap", "--duration", seconds, times=2).seconds
+    yield line(f"{seconds:,.0f} s to Foxglove", f"{taken:.1f} s", at_least(seconds / taken, "{:.0f} x real time", 400))
 
 
 def parquet(subject: Subject) -> Iterator[Line]:
     folder = DIRECTORY / "parquet"
-    limit = max(10 * subject.seconds / 3600, 2)
     for suffix, path in subject.both:
-        taken = best(partial(run, COMMAND, "export", "--force", path, folder, "--to", "parquet"), times=2)
-        size = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
+        yield from _export(f"{subject.length} of {suffix} to Parquet", subject, path, folder, "--to", "parquet")
         shutil.rmtree(folder)
-        what, factor = f"{subject.length} of {suffix} to Parquet", subject.seconds / taken.seconds
-        yield Line(what, f"{taken.seconds:.1f} s", f"{factor:,.0f} x real time", f"≤ {limit:.0f} s", taken.seconds <= limit)
-        files = f"{size:.0f} MB of files"
-        yield Line(f"{what}, peak memory", f"{taken.peak / 1e6:.0f} MB", files, "≤ 400 MB", taken.peak <= 400e6)
 
 
 def minute(subject: Subject) -> Iterator[Line]:
-    from carla_recap import export_rerun
-    from carla_recap.recording import open_recording
+    from carla_recap import export_rerun, open_recording
 
     mcap = subject.mcap
-    middle = subject.seconds / 2
-    window = ("--start", str(middle), "--duration", str(MINUTE))
-    clip = best(partial(run, COMMAND, "clip", "--force", mcap, DIRECTORY / "minute.mcap", *window)).seconds
 
     def export() -> None:
         with open_recording(mcap) as recording:
-            export_rerun(recording, DIRECTORY / "minute.rrd", start=middle, duration=MINUTE, force=True)
+            export_rerun(recording, DIRECTORY / "minute.rrd", start=subject.seconds / 2, duration=MINUTE, force=True)
 
+    clip = recap("clip", "--force", mcap, DIRECTORY / "minute.mcap", *_middle(subject, MINUTE), times=3).seconds
     (exporting,) = medians(export, times=3)  # in process: importing Rerun takes longer than that
     for what, seconds in (("clip of 60 s", clip), ("60 s to .rrd, in process", exporting)):
-        yield Line(what, f"{seconds:.2f} s", f"{MINUTE / seconds:,.0f} x real time", "< 1 s", seconds < 1)
+        yield line(what, at_most(seconds, "{:.2f} s", 1), f"{MINUTE / seconds:,.0f} x real time")
 
 
 def snapshot(subject: Subject) -> Iterator[Line]:
-    mcap = subject.mcap
-    target = DIRECTORY / "snapshot.png"
-    taken = best(partial(run, COMMAND, "snapshot", "--force", mcap, target, "--at", str(subject.seconds / 2)))
-    yield Line("snapshot", f"{taken.seconds:.1f} s", "", "< 3 s", taken.seconds < 3)
+    arguments = subject.mcap, DIRECTORY / "snapshot.png", "--at", subject.seconds / 2
+    yield line("snapshot", at_most(recap("snapshot", "--force", *arguments, times=3).seconds, "{:.1f} s", 3))
 
 
 def video(subject: Subject) -> Iterator[Line]:
     target = DIRECTORY / "video.mp4"
-    window = ("--start", str(subject.seconds / 2), "--duration", "10")
-    taken = best(partial(run, COMMAND, "video", "--force", subject.mcap, target, *window), times=2)
-    size = target.stat().st_size / 1e6
-    what = "video of 10 s, 1280 x 720 at 30 fps"
-    yield Line(what, f"{taken.seconds:.1f} s", f"{size:.1f} MB of file", "≤ 20 s", taken.seconds <= 20)
+    seconds = recap("video", "--force", subject.mcap, target, *_middle(subject, 10), times=2).seconds
+    size = f"{target.stat().st_size / 1e6:.1f} MB of file"
+    yield line("video of 10 s, 1280 x 720 at 30 fps", at_most(seconds, "{:.1f} s", 20), size)
 
 
 def page(subject: Subject) -> Iterator[Line]:
     if shutil.which("chromedriver") is None:
         raise Missing("chromedriver")
-    mcap = subject.mcap
     clip, file = DIRECTORY / "minute.mcap", DIRECTORY / "page.html"
-    run(COMMAND, "clip", "--force", mcap, clip, "--start", str(subject.seconds / 2), "--duration", str(MINUTE))
-    taken = run(COMMAND, "report", "--force", clip, file)
-    size = file.stat().st_size / 1e6
-    yield Line(
-        "incident page of 60 s, as one file", f"{taken.seconds:.2f} s", f"{size:.2f} MB of file", "< 1.5 MB", size < 1.5
-    )
-    seconds = min(first_frame(file) for _ in range(3))
-    yield Line("its first frame in Chromium", f"{seconds:.2f} s", "", "< 3 s", seconds < 3)
+    recap("clip", "--force", subject.mcap, clip, *_middle(subject, MINUTE))
+    seconds = recap("report", "--force", clip, file).seconds
+    size = at_most(file.stat().st_size / 1e6, "{:.2f} MB of file", 1.5)
+    yield line("incident page of 60 s, as one file", f"{seconds:.2f} s", size)
+    yield line("its first frame in Chromium", at_most(min(first_frame(file) for _ in range(3)), "{:.2f} s", 3))
 
 
 def first_frame(index: Path) -> float:
@@ -119,3 +94,16 @@ def first_frame(index: Path) -> float:
 
 
 ROWS: Final = (rerun, foxglove, parquet, minute, snapshot, video, page)
+
+
+def _middle(subject: Subject, seconds: float) -> tuple[Any, ...]:
+    """Return the options for a part from the middle on."""
+    return "--start", subject.seconds / 2, "--duration", seconds
+
+
+def _export(what: str, subject: Subject, source: Path, target: Path, *options: str) -> Iterator[Line]:
+    taken = recap("export", "--force", source, target, *options, times=2)
+    seconds = at_most(taken.seconds, "{:.1f} s", max(10 * subject.hours, 2))
+    yield line(what, seconds, f"{subject.seconds / taken.seconds:,.0f} x real time")
+    files = f"{sum(file.stat().st_size for file in target.iterdir()) / 1e6:.0f} MB of files" if target.is_dir() else ""
+    yield memory_line(what, taken.peak, 400, files)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import time
+from contextlib import contextmanager
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.campaign import make
 from benchmarks.hour import DIRECTORY, FRAMES
-from benchmarks.measuring import COMMAND, Line, Subject, cpu_time, run_watched
+from benchmarks.measuring import Line, Run, Subject, at_least, at_most, line, recap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +26,6 @@ MOST: Final = 5000
 BROKEN: Final = 100  # recordings, one of which is broken
 RUNS: Final = 1000
 KILL: Final = 10.0  # s between two kills
-WORKERS: Final = 2  # of the cluster
 MEMORY: Final = 60e6  # bytes, which ten times as many recordings may take in addition
 
 
@@ -34,27 +33,17 @@ def indexing(subject: Subject) -> Iterator[Line]:
     """An index is written, its recordings are found unchanged, and SQL joins its tables."""
     runs, count = _campaign(subject)
     index = _new_index()
-    lines, seconds, cpu = _run("index", runs, index)
-    rate, failed = count / seconds, count // BROKEN
-    ratio = f"{cpu / count * 1e3:.1f} ms of processor time each"
-    yield Line(f"{count:,} recordings indexed", f"{rate:.0f} a second", ratio, "≥ 120 /s", rate >= 120)
-    expected = f"{count:,} recordings: {count - failed:,} read, {failed} failed, 0 unchanged"
-    yield Line("of these", lines[-1].partition(": ")[2], "", f"{failed} errors named", lines[-1].endswith(expected))
+    yield _rate(f"{count:,} recordings indexed", _run("index", runs, index), count, 120)
     size = index.stat().st_size
-    yield Line("the index", f"{size / 1e6:.1f} MB", f"{size / count:.0f} bytes each", "", True)
-    _, seconds, _ = _run("index", runs, index)
-    yield Line(f"{count:,} unchanged recordings", f"{seconds:.1f} s", "", "≤ 5 s", seconds <= 5)
+    yield line("the index", f"{size / 1e6:.1f} MB", f"{size / count:.0f} bytes each")
+    yield line(f"{count:,} unchanged recordings", at_most(_run("index", runs, index).seconds, "{:.1f} s", 5))
     query = "select map, count(*) from recordings anti join collisions using (recording) group by map"
-    _, seconds, _ = _run("sql", index, query)
-    yield Line("a question in SQL", f"{seconds:.1f} s", "", "≤ 3 s", seconds <= 3)
+    yield line("a question in SQL", at_most(_run("sql", index, query).seconds, "{:.1f} s", 3))
 
 
 def many_collisions(subject: Subject) -> Iterator[Line]:
     runs, count = _campaign(subject)
-    _, seconds, cpu = _run("collisions", "--json", runs)
-    rate = count / seconds
-    ratio = f"{cpu / count * 1e3:.1f} ms of processor time each"
-    yield Line(f"collisions of {count:,} recordings", f"{rate:.0f} a second", ratio, "≥ 500 /s", rate >= 500)
+    yield _rate(f"collisions of {count:,} recordings", _run("collisions", "--json", runs), count, 500)
 
 
 def many_memory(subject: Subject) -> Iterator[Line]:
@@ -64,14 +53,13 @@ def many_memory(subject: Subject) -> Iterator[Line]:
     if not few.exists():
         make(few, count // 10)
     for what in ("collisions", "index"):
-        peaks = []
-        for folder in (few, runs):
-            command = [COMMAND, what, "--jobs", "2", folder, *([_new_index()] if what == "index" else ["--json"])]
-            peaks.append(run_watched(command, codes=(0, 2))[2])
-        small, large = peaks
-        more = large - small
+        small, large = (
+            _run(what, "--jobs", 2, folder, *([_new_index()] if what == "index" else ["--json"]), watch=()).peak
+            for folder in (few, runs)
+        )
         ratio = f"{small / 1e6:.0f} MB for {count // 10:,}"
-        yield Line(f"{what} of {count:,}, peak memory", f"{large / 1e6:.0f} MB", ratio, "+ ≤ 60 MB", more <= MEMORY)
+        ok = large - small <= MEMORY
+        yield Line(f"{what} of {count:,}, peak memory", f"{large / 1e6:.0f} MB", ratio, "+ ≤ 60 MB", ok)
 
 
 def drive(world: World, vehicles: int) -> None:
@@ -83,22 +71,13 @@ def drive(world: World, vehicles: int) -> None:
 
 def campaign_kills(subject: Subject) -> Iterator[Line]:
     """Short runs on a cluster of two workers, one of which is killed every 10 s."""
-    import dask
-    from distributed import LocalCluster
-
     from carla_recap.fleet.campaign import campaign
     from carla_recap.fleet.cluster import connect
 
     count = RUNS if subject.frames >= FRAMES else 20
     folder, done, kills = DIRECTORY / "cluster", Event(), []
     shutil.rmtree(folder, ignore_errors=True)
-    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 30}
-    patience = {"distributed.deploy.lost-worker-timeout": "10 minutes"}  # else a slow machine closes the cluster
-    with (
-        dask.config.set(patience),
-        LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, **options) as cluster,
-        connect(cluster.scheduler_address) as client,
-    ):
+    with local_cluster(2) as cluster, connect(cluster.scheduler_address) as client:
         killer = Thread(target=_kill, args=(client, done, kills))
         killer.start()
         try:
@@ -119,12 +98,27 @@ def campaign_kills(subject: Subject) -> Iterator[Line]:
 def _kill(client: Client, done: Event, kills: list[int]) -> None:
     while not done.wait(KILL):
         workers = [*client.run(os.getpid).values()]
-        if len(workers) == WORKERS:  # else the one that was killed last has not been started again
+        if len(workers) > 1:  # else the one that was killed last has not been started again
             os.kill(workers[0], signal.SIGKILL)
             kills.append(workers[0])
 
 
 ROWS: Final = (indexing, many_collisions, many_memory, campaign_kills)
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[Any]:
+    """Start a cluster of Dask on this machine."""
+    import dask
+    from distributed import LocalCluster
+
+    settings = {
+        "distributed.deploy.lost-worker-timeout": "10 minutes",  # else a slow machine closes the cluster
+        "distributed.worker.profile.enabled": False,  # it keeps what it has seen, 100 MB for each worker
+    }
+    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
+    with dask.config.set(settings), LocalCluster(workers, threads_per_worker=1, processes=True, **options) as cluster:
+        yield cluster
 
 
 def _campaign(subject: Subject) -> tuple[Path, int]:
@@ -145,25 +139,11 @@ def _new_index() -> Path:
     return index
 
 
-def _run(*arguments: Any) -> tuple[list[str], float, float]:
-    """Run a command that may fail; return the lines on stderr, the seconds, and the processors' seconds."""
-    done = None
-
-    def run() -> None:
-        nonlocal done
-        done = subprocess.run([COMMAND, *arguments], capture_output=True, text=True, check=False)
-
-    begin = time.perf_counter()
-    cpu = cpu_time(run)
-    assert done is not None
-    assert done.returncode in (0, 2), done.stderr
-    return done.stderr.splitlines(), time.perf_counter() - begin, cpu
+def _run(*arguments: Any, **options: Any) -> Run:
+    """Run a command, some of whose recordings cannot be read."""
+    return recap(*arguments, codes=(0, 2), **options)
 
 
-def contents(index: Path) -> dict[str, list[str]]:
-    """Return the rows of all tables of an index as texts, in an order of their own."""
-    from carla_recap import open_index
-    from carla_recap.fleet.index.tables import TABLES
-
-    opened = open_index(index)
-    return {name: sorted(map(repr, opened.table(name).to_pylist())) for name in TABLES}
+def _rate(what: str, taken: Run, count: int, least: float) -> Line:
+    each = f"{taken.cpu / count * 1e3:.1f} ms of processor time each"
+    return line(what, at_least(count / taken.seconds, "{:.0f} a second", least), each)

@@ -15,26 +15,31 @@ import warnings
 from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
-from benchmarks.campaign import make
-from benchmarks.fleet import contents
-from benchmarks.measuring import COMMAND
-from carla_recap import RecapError, RecapWarning, open_recording, recover
-from carla_recap.editing.convert import convert as run_convert
+import psutil
+
+from benchmarks.campaign import CRASH, SAMPLES, make
+from benchmarks.measuring import COMMAND, recap
+from carla_recap import RecapError, RecapWarning, convert, open_recording, recover
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.server import running
+from tests.fleet.indexes import contents
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SAMPLES: Final = Path(__file__).parents[1] / "samples"
+    Check = Callable[[Path, bool], list[str]]
+
 EARLIEST, LATEST = 0.35, 1.0  # of the time that a command takes, at which it is killed
 ROUND: Final = 5  # kills, after which a command that goes on ends once
 GONE: Final = 20.0  # s for the child processes of a killed command to end
+RIG: Final = """[
+{"id": "front", "type": "sensor.camera.rgb", "x": 1, "y": 0, "z": 2, "width": 64, "height": 48, "fov": 90},
+{"id": "lidar", "type": "sensor.lidar.ray_cast", "x": 0, "y": 0, "z": 2.4, "points_per_second": 20000}]
+"""
 
 
 @dataclass
@@ -42,217 +47,175 @@ class Killed:
     """A command that is killed.
 
     Attributes:
-        command: The command.
-        folder: What it writes is in here.
-        check: Is called with the folder after each kill, and returns what is wrong.
-        goes_on: Whether the next command goes on with what is there; else the folder is emptied.
-        at_end: Is called with the folder when such a command has ended, and returns what is wrong.
+        command: The command, without the path that it writes, which comes last.
+        path: That path, in a folder of its own or that folder.
+        goes_on: Whether the next command goes on with what is there; else it is removed.
         codes: The exit codes of a command that ends.
-        seconds: The time that it takes, in s.
         seen: What became of it, and how often.
     """
 
     command: tuple[Any, ...]
-    folder: Path
-    check: Callable[[Path], list[str]]
+    path: Path
     goes_on: bool = False
-    at_end: Callable[[Path], list[str]] = lambda _: []
     codes: tuple[int, ...] = (0,)
-    seconds: float = 0.0
     seen: Counter[str] = field(default_factory=Counter)
 
-    def kill(self, count: int, rng: random.Random) -> list[str]:
-        """Kill the command many times; return what is wrong."""
-        self.seconds = self._run()
-        wrong = self.at_end(self.folder)
-        self._clear()
-        for number in range(count):
-            wrong += self._killed(rng.uniform(EARLIEST, LATEST) * self.seconds, rng)
-            wrong += self.check(self.folder)
-            if self.goes_on and number % ROUND == ROUND - 1:
-                self._run()
-                wrong += self.at_end(self.folder)
-                self._clear()
-            elif not self.goes_on:
-                self._clear()
-        return wrong
+    @property
+    def folder(self) -> Path:
+        return self.path.parent if self.path.suffix else self.path
 
-    def _run(self) -> float:
-        begin = time.perf_counter()
-        done = subprocess.run(list(map(str, self.command)), capture_output=True, text=True, check=False)
-        if done.returncode not in self.codes:
-            raise SystemExit(done.stderr)
-        return time.perf_counter() - begin
+    def complete(self) -> float:
+        """Run the command to its end, and return its seconds."""
+        self.folder.mkdir(exist_ok=True)
+        return recap(*self.command, self.path, codes=self.codes).seconds
+
+    def kill_often(self, check: Check, count: int, rng: random.Random) -> list[str]:
+        """Kill the command many times; return what is wrong with what there is after each, or after its end."""
+        seconds = self.complete()
+        wrong = check(self.folder, True)
+        self.clear()
+        for number in range(count):
+            wrong += self._killed(rng.uniform(EARLIEST, LATEST) * seconds, rng) + check(self.folder, False)
+            if self.goes_on and number % ROUND == ROUND - 1:
+                self.complete()
+                wrong += check(self.folder, True)
+            if not self.goes_on or number % ROUND == ROUND - 1:
+                self.clear()
+        return wrong
 
     def _killed(self, seconds: float, rng: random.Random) -> list[str]:
         """Run the command, and kill it after some seconds, or all its processes; return which of them do not end then."""
-        import psutil
-
-        with subprocess.Popen(list(map(str, self.command)), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-            try:
-                begin = time.perf_counter()
+        command = list(map(str, (COMMAND, *self.command, self.path)))
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            with suppress(subprocess.TimeoutExpired):
                 process.wait(seconds)
                 self.seen["ended before"] += 1
-                self.seconds = time.perf_counter() - begin
                 return []
-            except subprocess.TimeoutExpired:
-                pass
             children: list[Any] = []
             with suppress(psutil.NoSuchProcess):
                 children = psutil.Process(process.pid).children(recursive=True)
             process.kill()
-            if rng.random() < 0.5:
-                for child in children:
-                    with suppress(psutil.NoSuchProcess):
-                        child.kill()
+            for child in children if rng.random() < 0.5 else ():
+                with suppress(psutil.NoSuchProcess):
+                    child.kill()
         self.seen["killed"] += 1
         _, alive = psutil.wait_procs(children, GONE)
         return [f"the process {each.pid} goes on" for each in alive]
 
-    def _clear(self) -> None:
+    def clear(self) -> None:
+        """Remove what there is."""
         shutil.rmtree(self.folder)
         self.folder.mkdir()
 
 
-def _recording(frames: int | None, content: bytes | None, is_live: bool, killed: Killed, folder: Path) -> list[str]:
-    """Check a folder with one recording, or with what is left of it, which `recover` takes."""
-    path, wrong = folder / killed.command[-1], []
-    for each in folder.iterdir():
-        if not each.name.startswith(".") and each.suffix in (".mcap", ".log"):
-            killed.seen["under its name"] += 1
-            if content is not None and not (content.startswith(_as_log(each)) if is_live else content == each.read_bytes()):
-                wrong.append(f"{each.name}: other frames")
-            with warnings.catch_warnings(), open_recording(each) as recording:
-                warnings.simplefilter("error", RecapWarning)
-                if not recording.info.frames:
-                    wrong.append(f"{each.name}: no frames")
-        elif each.name.endswith(".partial"):
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", RecapWarning)
-                    found = recover(each, folder / f"recovered{path.suffix}", force=True)
-            except RecapError:
-                killed.seen["too early to recover"] += 1
-                continue
-            killed.seen["recovered"] += 1
-            if frames is not None and found.frames > frames:
-                wrong.append(f"{found.frames} of {frames} frames are recovered")
-            (folder / f"recovered{path.suffix}").unlink()
-        elif each.suffix != ".json":
-            wrong.append(f"{each.name} is left")
-    return wrong
+def recording(killed: Killed, *, is_repeatable: bool = True, is_live: bool = False) -> tuple[Killed, Check]:
+    """Return a command that writes a recording, and what checks it, or what is left of it, which `recover` takes."""
+    frames = content = None
+    if is_repeatable:
+        killed.complete()
+        content = _as_log(killed.path) if is_live else killed.path.read_bytes()
+        with open_recording(killed.path) as whole:
+            frames = whole.info.frames
+        killed.clear()
+
+    def check(folder: Path, is_complete: bool) -> list[str]:
+        wrong, recovered = [], folder / f"recovered{killed.path.suffix}"
+        for each in folder.iterdir():
+            if each.name.endswith(".partial"):
+                try:
+                    with warnings.catch_warnings(action="ignore", category=RecapWarning):
+                        found = recover(each, recovered, force=True)
+                except RecapError:
+                    killed.seen["too early to recover"] += 1
+                    continue
+                killed.seen["recovered"] += 1
+                if frames is not None and found.frames > frames:
+                    wrong.append(f"{found.frames} of {frames} frames are recovered")
+                recovered.unlink()
+            elif each.suffix in (".mcap", ".log"):
+                killed.seen["under its name"] += 1
+                if content and not (content.startswith(_as_log(each)) if is_live else content == each.read_bytes()):
+                    wrong.append(f"{each.name}: other frames")
+                with warnings.catch_warnings(action="error", category=RecapWarning), open_recording(each) as opened:
+                    if not opened.info.frames:
+                        wrong.append(f"{each.name}: no frames")
+            elif each.suffix != ".json":
+                wrong.append(f"{each.name} is left")
+        return wrong
+
+    return killed, check
 
 
 def _as_log(path: Path) -> bytes:
     """Return a recording as CARLA's log, whose beginning is that of a recording that ended earlier."""
-    if path.suffix == ".log":
-        return path.read_bytes()
     with TemporaryDirectory() as folder:
-        run_convert(path, Path(folder, "out.log"))
+        convert(path, Path(folder, "out.log"))
         return Path(folder, "out.log").read_bytes()
 
 
-def _one(work: Path, *arguments: Any, name: str = "out.mcap", is_repeatable: bool = True, is_live: bool = False) -> Killed:
-    """Return a command that writes a recording."""
-    folder = work / "out"
-    folder.mkdir()
-    command = (COMMAND, *arguments, folder / name)
-    frames = content = None
-    if is_repeatable:
-        subprocess.run(list(map(str, command)), check=True, capture_output=True)
-        content = _as_log(folder / name) if is_live else (folder / name).read_bytes()
-        with open_recording(folder / name) as recording:
-            frames = recording.info.frames
-        shutil.rmtree(folder)
-        folder.mkdir()
-    killed = Killed(command, folder, lambda _: [])
-    killed.check = partial(_recording, frames, content, is_live, killed)
-    return killed
+def killed_convert(work: Path, _: ExitStack) -> tuple[Killed, Check]:
+    recap("record", work / "source.mcap", "--duration", 120, "--seed", 1, "-q")
+    return recording(Killed(("convert", work / "source.mcap"), work / "out" / "out.log"))
 
 
-def convert(work: Path, _: ExitStack) -> Killed:
-    source = work / "source.mcap"
-    subprocess.run([COMMAND, "record", source, "--duration", "120", "--seed", "1", "-q"], check=True)
-    return _one(work, "convert", source, name="out.log")
+def killed_record(work: Path, _: ExitStack) -> tuple[Killed, Check]:
+    command = "record", "--vehicles", 10, "--walkers", 5, "--duration", 30, "--seed", 1
+    return recording(Killed(command, work / "out" / "out.mcap"), is_live=True)
 
 
-def record(work: Path, _: ExitStack) -> Killed:
-    return _one(work, "record", "--vehicles", 10, "--walkers", 5, "--duration", 30, "--seed", 1, is_live=True)
-
-
-RIG: Final = """[
-{"id": "front", "type": "sensor.camera.rgb", "x": 1, "y": 0, "z": 2, "width": 64, "height": 48, "fov": 90},
-{"id": "lidar", "type": "sensor.lidar.ray_cast", "x": 0, "y": 0, "z": 2.4, "points_per_second": 20000}]
-"""
-
-
-def sense(work: Path, _: ExitStack) -> Killed:
+def killed_sense(work: Path, _: ExitStack) -> tuple[Killed, Check]:
     rig = work / "rig.json"
     rig.write_text(RIG)
-    return _one(work, "sense", SAMPLES / "crash.mcap", "--rig", rig, "--start", 2, "--duration", 2)
+    command = "sense", CRASH, "--rig", rig, "--start", 2, "--duration", 2
+    return recording(Killed(command, work / "out" / "out.mcap"))
 
 
-def capture(work: Path, stack: ExitStack) -> Killed:
-    port = stack.enter_context(running())
-    return _one(work, "capture", "--port", port, "--duration", 2, is_repeatable=False)
+def killed_capture(work: Path, stack: ExitStack) -> tuple[Killed, Check]:
+    command = "capture", "--port", stack.enter_context(running()), "--duration", 2
+    return recording(Killed(command, work / "out" / "out.mcap"), is_repeatable=False)
 
 
-def index(work: Path, _: ExitStack) -> Killed:
-    runs, folder, expected = work / "runs", work / "out", work / "expected.duckdb"
-    folder.mkdir()
-    make(runs, 16, 2)
-    command = (COMMAND, "index", "--measures", "--jobs", 2, runs)
-    subprocess.run([*map(str, command), expected], check=False, capture_output=True)
-    whole = contents(expected)
+def killed_index(work: Path, _: ExitStack) -> tuple[Killed, Check]:
+    make(work / "runs", 16, 2)
+    command, expected = ("index", "--measures", "--jobs", 2, work / "runs"), work / "expected.duckdb"
+    recap(*command, expected, codes=(2,))
+    whole, killed = contents(expected), Killed(command, work / "out" / "index.duckdb", True, (2,))
 
-    def check(folder: Path, *, is_complete: bool = False) -> list[str]:
-        path = folder / "index.duckdb"
-        if not path.exists():
-            return []
-        found = contents(path)
-        others = [f"{name} has {row[:300]}" for name in TABLES for row in set(found[name]) - set(whole[name])]
+    def check(folder: Path, is_complete: bool) -> list[str]:
+        found = contents(killed.path) if killed.path.exists() else {name: [] for name in TABLES}
+        wrong = [f"{name} has {row[:300]}" for name in TABLES for row in set(found[name]) - set(whole[name])]
         if is_complete:
-            others += [f"{name} lacks {row[:300]}" for name in TABLES for row in set(whole[name]) - set(found[name])]
-            others += [f"{name} has rows twice" for name in TABLES if len(found[name]) > len(whole[name])]
-        return others
+            wrong += [f"{name} has other rows" for name in TABLES if found[name] != whole[name]]
+        return wrong
 
-    return Killed((*command, folder / "index.duckdb"), folder, check, True, partial(check, is_complete=True), (0, 2))
+    return killed, check
 
 
-def campaign(work: Path, _: ExitStack) -> Killed:
-    folder, expected = work / "out", work / "expected"
-    folder.mkdir()
-    function = f"{SAMPLES / 'campaign.py'}:follow"
-    command = (
-        COMMAND,
-        "campaign",
-        function,
-        "--seeds",
-        "1:4",
-        "--param",
-        "seconds=2",
-        "--workers",
-        2,
-        "--pages",
-        0,
-        "--out",
-    )
-    subprocess.run([*map(str, command), expected], check=True, capture_output=True)
+def killed_campaign(work: Path, _: ExitStack) -> tuple[Killed, Check]:
+    function, expected = f"{SAMPLES / 'campaign.py'}:follow", work / "expected"
+    runs = "--seeds", "1:4", "--param", "seconds=2", "--workers", 2, "--pages", 0
+    command = "campaign", function, *runs, "--out"
+    recap(*command, expected)
 
-    def check(folder: Path, *, is_complete: bool = False) -> list[str]:
+    def check(folder: Path, is_complete: bool) -> list[str]:
         there = {path.name: path for path in folder.glob("*.mcap")}
-        wrong = [
-            f"{name}: other bytes" for name, path in there.items() if path.read_bytes() != (expected / name).read_bytes()
-        ]
+        wrong = [f"{name}: other bytes" for name in there if there[name].read_bytes() != (expected / name).read_bytes()]
         if is_complete:
             left = sorted({path.name for path in folder.iterdir()} ^ {path.name for path in expected.iterdir()})
             wrong += [f"{name}: is left, or lacks" for name in left]
         return wrong
 
-    return Killed((*command, folder), folder, check, True, partial(check, is_complete=True))
+    return Killed(command, work / "out", True), check
 
 
-COMMANDS: Final = {each.__name__: each for each in (convert, record, sense, index, campaign, capture)}
+COMMANDS: Final = {
+    "convert": killed_convert,
+    "record": killed_record,
+    "sense": killed_sense,
+    "index": killed_index,
+    "campaign": killed_campaign,
+    "capture": killed_capture,
+}
 
 
 def main() -> None:
@@ -265,8 +228,8 @@ def main() -> None:
     for name in options.only or COMMANDS:
         begin = time.monotonic()
         with TemporaryDirectory(prefix="kills-") as work, ExitStack() as stack:
-            killed = COMMANDS[name](Path(work), stack)
-            wrong = Counter(killed.kill(options.kills, random.Random(options.seed)))
+            killed, check = COMMANDS[name](Path(work), stack)
+            wrong = Counter(killed.kill_often(check, options.kills, random.Random(options.seed)))
         counts = ", ".join(f"{count} {what}" for what, count in killed.seen.items())
         print(f"{name}: {counts}; {wrong.total()} wrong; {time.monotonic() - begin:.0f} s", flush=True)
         for what, count in wrong.most_common(10):

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import resource
 import statistics
 import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Any, Final
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from benchmarks.hour import DIRECTORY, RATE, cached
 
@@ -23,7 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 COMMAND: Final = Path(sys.executable).with_name("carla-recap")
-CONVERT: Final = "import sys; from carla_recap.editing.convert import convert; convert(*sys.argv[1:], force=True)"
+DATA: Final = Path("../shared/data")
+"""Recordings and maps of CARLA itself, which are not part of this repository."""
+TOWN: Final = DATA / "maps" / "Town01.xodr"
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,39 @@ class Line:
 
     what: str
     measured: str
-    ratio: str
+    ratio: str = ""
+    goal: str = ""
+    ok: bool = True
+
+
+class Aim(NamedTuple):
+    """A figure with the goal that developers aim at."""
+
+    text: str
     goal: str
     ok: bool
+
+
+def at_most(value: float, form: str, limit: float) -> Aim:
+    """Return a figure, as a form such as `{:.1f} s` writes it, that is to be small."""
+    return Aim(form.format(value), f"≤ {form.format(limit)}", bool(value <= limit))
+
+
+def at_least(value: float, form: str, limit: float) -> Aim:
+    """Return a figure that is to be great; see `at_most`."""
+    return Aim(form.format(value), f"≥ {form.format(limit)}", bool(value >= limit))
+
+
+def line(what: str, measured: str | Aim, ratio: str | Aim = "") -> Line:
+    """Return a line, of which one figure at most has a goal."""
+    texts = [each.text if isinstance(each, Aim) else each for each in (measured, ratio)]
+    goal, ok = next((each[1:] for each in (measured, ratio) if isinstance(each, Aim)), ("", True))
+    return Line(what, *texts, goal, ok)
+
+
+def memory_line(what: str, peak: float, limit: float, ratio: str = "") -> Line:
+    """Return a line of a peak of memory in bytes, whose limit is in MB."""
+    return line(f"{what}, peak memory", at_most(peak / 1e6, "{:,.0f} MB", limit), ratio)
 
 
 class Missing(Exception):
@@ -79,63 +110,83 @@ class Subject:
         return self.frames / RATE
 
     @property
+    def hours(self) -> float:
+        return self.seconds / 3600
+
+    @property
     def length(self) -> str:
         return f"{self.seconds:,.0f} s"
 
 
-@dataclass(frozen=True)
-class Run:
-    """Seconds and peak memory, in bytes, of a process."""
+class Run(NamedTuple):
+    """What a process took."""
 
     seconds: float
-    peak: int
+    cpu: float  # s of processors, with those of its child processes
+    peak: int  # bytes of memory
+    out: bytes = b""
+    errors: str = ""
 
 
-def run(*command: str | Path) -> Run:
-    """Run a process to its end; its peak memory is at least the memory of this process."""
-    begin = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    seconds = time.perf_counter() - begin
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, [str(part) for part in command])
-    return Run(seconds, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+def run(*command: Any, watch: Iterable[Any] | None = None, codes: tuple[int, ...] = (0,)) -> Run:
+    """Run a process to its end; its peak memory is at least the memory of this process.
 
-
-def run_watched(command: list[Any], beside: Iterable[Any] = (), codes: tuple[int, ...] = (0,)) -> tuple[bytes, float, int]:
-    """Return what a command prints, its seconds, and the peak memory of it, its child processes and others, together.
-
-    The memory is looked at 20 times a second.
+    With `watch`, processes of psutil, it is that of the process, its child processes and these, together.
     """
+    with TemporaryFile() as out, TemporaryFile() as errors:
+        begin = time.perf_counter()
+        process = subprocess.Popen(list(map(str, command)), stdout=out, stderr=errors)
+        with _watched(process.pid, watch) as peaks:
+            _, status, usage = os.wait4(process.pid, 0)
+        seconds = time.perf_counter() - begin
+        process.returncode = os.waitstatus_to_exitcode(status)
+        for file in (out, errors):
+            file.seek(0)
+        text = errors.read().decode()
+        if process.returncode not in codes:
+            raise subprocess.CalledProcessError(process.returncode, process.args, stderr=text)
+        own = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        return Run(seconds, usage.ru_utime + usage.ru_stime, max([own, *peaks]), out.read(), text)
+
+
+@contextmanager
+def _watched(pid: int, beside: Iterable[Any] | None) -> Iterator[list[int]]:
+    """Look at the memory of a process, its child processes and others, together, 20 times a second."""
+    if beside is None:
+        yield []
+        return
     import psutil
 
-    peak, begin = 0, time.perf_counter()
-    with TemporaryFile() as out:
-        with subprocess.Popen(list(map(str, command)), stdout=out, stderr=subprocess.DEVNULL) as process:
-            watched = psutil.Process(process.pid)
-            while process.poll() is None:
-                with suppress(psutil.NoSuchProcess):
-                    processes = (watched, *watched.children(recursive=True), *beside)
-                    peak = max(peak, sum(each.memory_info().rss for each in processes))
-                time.sleep(0.05)
-        seconds = time.perf_counter() - begin
-        if process.returncode not in codes:
-            raise subprocess.CalledProcessError(process.returncode, process.args)
-        out.seek(0)
-        return out.read(), seconds, peak
+    done, peaks, beside = Event(), [0], list(beside)
+
+    def look() -> None:
+        while not done.wait(0.05):
+            with suppress(psutil.NoSuchProcess):
+                watched = psutil.Process(pid)
+                each = (watched, *watched.children(recursive=True), *beside)
+                peaks[0] = max(peaks[0], sum(process.memory_info().rss for process in each))
+
+    thread = Thread(target=look)
+    thread.start()
+    try:
+        yield peaks
+    finally:
+        done.set()
+        thread.join()
 
 
-def best(work: Callable[[], Run], times: int = 3) -> Run:
-    """Return the shortest time and the highest peak of several runs."""
-    runs = [work() for _ in range(times)]
-    return Run(min(each.seconds for each in runs), max(each.peak for each in runs))
+def recap(*arguments: Any, times: int = 1, **options: Any) -> Run:
+    """Run a command of the package several times; return the shortest times and the highest peak."""
+    runs = [run(COMMAND, *arguments, **options) for _ in range(times)]
+    return runs[-1]._replace(
+        seconds=min(each.seconds for each in runs), cpu=min(each.cpu for each in runs), peak=max(each.peak for each in runs)
+    )
 
 
 def convert(source: Path, target: Path) -> Run:
     """Convert a recording in another process; the time to remove an existing target is not included."""
     target.unlink(missing_ok=True)
-    return run(sys.executable, "-c", CONVERT, source, target)
+    return recap("convert", "-q", source, target)
 
 
 def in_new_process(work: Callable[..., Any], *arguments: Any) -> Any:
@@ -144,22 +195,14 @@ def in_new_process(work: Callable[..., Any], *arguments: Any) -> Any:
         return pool.submit(work, *arguments).result()
 
 
-def timed(work: Callable[[], object]) -> float:
-    begin = time.perf_counter()
+def timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    begin = clock()
     work()
-    return time.perf_counter() - begin
+    return clock() - begin
 
 
-def cpu_time(work: Callable[[], object]) -> float:
-    """Return the processor time of some work in s, threads and ended child processes included."""
-    begin = _cpu_time()
-    work()
-    return _cpu_time() - begin
-
-
-def _cpu_time() -> float:
-    usages = [resource.getrusage(which) for which in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+def fastest(work: Callable[[], object], times: int = 3, clock: Callable[[], float] = time.perf_counter) -> float:
+    return min(timed(work, clock) for _ in range(times))
 
 
 def medians(*works: Callable[[], object], times: int = 9) -> list[float]:
@@ -170,14 +213,10 @@ def medians(*works: Callable[[], object], times: int = 9) -> list[float]:
 
 def cut(log: Path, frames: int) -> Path:
     """Write the first frames of a log as a log."""
-    from carla_recap.formats.carla_log import LogReader, LogWriter
+    from carla_recap import clip
 
     path = DIRECTORY / f"cut-{frames}.log"
-    reader = LogReader(log)
-    with LogWriter(path, reader.header) as writer:
-        for frame in islice(reader.frames(), frames):
-            writer.write(frame)
-    reader.close()
+    clip(log, path, start=0.0, duration=frames / RATE, force=True)
     return path
 
 

@@ -8,7 +8,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from benchmarks.hour import DIRECTORY, RATE
-from benchmarks.measuring import Line, Subject, cut, in_new_process, medians, timed
+from benchmarks.measuring import Line, Subject, at_least, at_most, cut, fastest, in_new_process, line, medians
 from carla_recap.server import running
 
 if TYPE_CHECKING:
@@ -20,24 +20,18 @@ IDLE = 100
 MANAGED = 50
 LONG = 20_000_000  # bytes
 ROUNDS = 8
+DELTA = 0.05  # s
 
 
 def sync_ticks(_: Subject) -> Iterator[Line]:
-    rates = []
-    for _ in range(3):
-        with running(recordings=DIRECTORY) as port:
-            rates.append(in_new_process(idle_rate, port))
-    yield rate_line(f"sync ticks, {IDLE} idle vehicles", max(rates), 2500)
+    rate = max(_on_new_server(idle_rate) for _ in range(3))
+    yield line(f"sync ticks, {IDLE} idle vehicles", at_least(rate, "{:,.0f} a second", 2500))
 
 
 def managed_ticks(_: Subject) -> Iterator[Line]:
-    found = []
-    for _ in range(3):
-        with running(recordings=DIRECTORY) as port:
-            found.append(in_new_process(managed_rate, port))
-    rate, own = max(found)
-    what, measured = f"sync ticks, {MANAGED} under traffic manager", f"{rate:,.0f} a second"
-    yield Line(what, measured, f"{own * 1e3:.1f} ms", "≥ 350 /s", rate >= 350)
+    rate, own = max(_on_new_server(managed_rate) for _ in range(3))
+    what = f"sync ticks, {MANAGED} under traffic manager"
+    yield line(what, at_least(rate, "{:,.0f} a second", 350), f"{own * 1e3:.1f} ms")
 
 
 def controls(_: Subject) -> Iterator[Line]:
@@ -53,7 +47,7 @@ def controls(_: Subject) -> Iterator[Line]:
                 vehicle.apply_control(carla.VehicleControl(steer=number / count))
             town.tick()
 
-        yield rate_line("apply_control calls", count / min(timed(steer) for _ in range(3)), 1500)
+        yield line("apply_control calls", at_least(count / fastest(steer), "{:,.0f} a second", 1500))
 
 
 def get_world(_: Subject) -> Iterator[Line]:
@@ -62,7 +56,7 @@ def get_world(_: Subject) -> Iterator[Line]:
         town.tick()
         worlds: list[carla.World] = []  # the client crashes if a world is deleted at once
         (seconds,) = medians(lambda: worlds.append(connect(port).get_world()))
-        yield Line("get_world", f"{seconds * 1e3:.1f} ms", "", "< 20 ms", seconds < 0.02)
+        yield line("get_world", at_most(seconds * 1e3, "{:.1f} ms", 20))
 
 
 def long_answer(subject: Subject) -> Iterator[Line]:
@@ -74,9 +68,9 @@ def long_answer(subject: Subject) -> Iterator[Line]:
             if size >= LONG or frames >= subject.frames:
                 break
             frames = int(frames * 1.1 * LONG / size)
-        seconds = min(timed(lambda: client.show_recorder_file_info(str(log), True)) for _ in range(3))
+        seconds = fastest(lambda: client.show_recorder_file_info(str(log), True))
         ratio = f"{size / 1e6:.0f} MB, {size / seconds / 1e6:.0f} MB a second"
-        yield Line("file info of a long log", f"{seconds:.2f} s", ratio, "< 2 s", seconds < 2)
+        yield line("file info of a long log", at_most(seconds, "{:.2f} s", 2), ratio)
 
 
 ROWS = (sync_ticks, managed_ticks, controls, get_world, long_answer)
@@ -85,52 +79,44 @@ ROWS = (sync_ticks, managed_ticks, controls, get_world, long_answer)
 @contextmanager
 def world() -> Iterator[tuple[int, carla.World]]:
     """Connect to a new server with the built-in town, in synchronous mode."""
-    import carla
-
     with running(recordings=DIRECTORY) as port:
-        client = connect(port)
-        town = client.get_world()
-        town.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+        town = connect(port).get_world()
+        town.apply_settings(settings())
         yield port, town
-        town.apply_settings(carla.WorldSettings())
+        town.apply_settings(settings(synchronous=False))
+
+
+def _on_new_server(work: Callable[[int], object]) -> object:
+    with running(recordings=DIRECTORY) as port:
+        return in_new_process(work, port)
 
 
 def idle_rate(port: int) -> float:
     """Return the ticks a second of a client with idle vehicles."""
-    import carla
-
     town = connect(port).get_world()
-    town.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+    town.apply_settings(settings())
     spawn(town, IDLE)
-    for _ in range(100):
-        town.tick()
-    return per_second(town.tick, 500)
+    ticks(town, 100)
+    return 500 / fastest(lambda: ticks(town, 500), ROUNDS)
 
 
 def managed_rate(port: int) -> tuple[float, float]:
     """Return the ticks a second of a client whose traffic manager drives, and its own processor time for one, in s."""
-    import carla
-
     client = connect(port)
     town = client.get_world()
-    town.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
-    manager = client.get_trafficmanager(8123)
-    manager.set_synchronous_mode(True)
-    vehicles = spawn(town, MANAGED)
-    for vehicle in vehicles:
-        vehicle.set_autopilot(True, 8123)
-    for _ in range(100):
-        town.tick()
+    town.apply_settings(settings())
+    manager, vehicles = managed(client, town, 8123, MANAGED)
+    ticks(town, 100)
     begin = time.process_time()
-    rate = per_second(town.tick, 200)
+    rate = 200 / fastest(lambda: ticks(town, 200), ROUNDS)
     own = (time.process_time() - begin) / (200 * ROUNDS)
     for vehicle in vehicles:
         vehicle.set_autopilot(False, 8123)
-    manager.set_synchronous_mode(False)
-    manager.shut_down()
-    town.tick()
-    town.apply_settings(carla.WorldSettings())
+    shut_down(town, manager)
     return rate, own
+
+
+# --- clients --------------------------------------------------------------------------------------------------------------
 
 
 def connect(port: int) -> carla.Client:
@@ -141,10 +127,18 @@ def connect(port: int) -> carla.Client:
     return client
 
 
-def spawn(town: carla.World, count: int) -> list[carla.Actor]:
-    """Spawn vehicles all over the town."""
+def settings(*, synchronous: bool = True) -> carla.WorldSettings:
+    """Return the settings of a world."""
+    import carla
+
+    return carla.WorldSettings(synchronous_mode=synchronous, fixed_delta_seconds=DELTA if synchronous else 0.0)
+
+
+def spawn(town: carla.World, count: int, role_name: str = "autopilot") -> list[carla.Actor]:
+    """Spawn vehicles all over the town; the role name is that of the first one."""
     models = town.get_blueprint_library().filter("vehicle.*")
     cars = [model for model in models if model.get_attribute("number_of_wheels").as_int() == 4]
+    cars[0].set_attribute("role_name", role_name)
     points = town.get_map().get_spawn_points()
     found = (
         town.try_spawn_actor(cars[index % len(cars)], point)
@@ -153,15 +147,28 @@ def spawn(town: carla.World, count: int) -> list[carla.Actor]:
     return list(islice((vehicle for vehicle in found if vehicle), count))  # lazy, so that no more are spawned
 
 
-def per_second(work: Callable[[], object], count: int) -> float:
-    """Return how often some work can be done in a second: the best of several rounds, since the machine may be shared."""
+def managed(
+    client: carla.Client, town: carla.World, port: int, count: int, *, hybrid: bool = False
+) -> tuple[carla.TrafficManager, list[carla.Actor]]:
+    """Return a traffic manager in synchronous mode, and its vehicles; with hybrid physics, the first one is the hero."""
+    manager = client.get_trafficmanager(port)
+    manager.set_synchronous_mode(True)
+    manager.set_hybrid_physics_mode(hybrid)
+    manager.set_hybrid_physics_radius(50.0)
+    vehicles = spawn(town, count, "hero" if hybrid else "autopilot")
+    for vehicle in vehicles:
+        vehicle.set_autopilot(True, port)
+    return manager, vehicles
 
-    def rounds() -> None:
-        for _ in range(count):
-            work()
 
-    return count / min(timed(rounds) for _ in range(ROUNDS))
+def shut_down(town: carla.World, manager: carla.TrafficManager) -> None:
+    """Shut a traffic manager down, and leave the world in asynchronous mode."""
+    manager.set_synchronous_mode(False)
+    manager.shut_down()
+    town.apply_settings(settings(synchronous=False))
 
 
-def rate_line(what: str, rate: float, least: float) -> Line:
-    return Line(what, f"{rate:,.0f} a second", "", f"≥ {least:,.0f} /s", rate >= least)
+def ticks(town: carla.World, count: int) -> None:
+    """Tick a number of times."""
+    for _ in range(count):
+        town.tick()

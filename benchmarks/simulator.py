@@ -7,9 +7,7 @@ import resource
 import statistics
 import sys
 import time
-from functools import wraps
 from importlib.machinery import SourceFileLoader
-from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Final
@@ -18,22 +16,18 @@ import numpy as np
 
 from benchmarks.core import broken_rules
 from benchmarks.hour import DIRECTORY
-from benchmarks.measuring import Line, Subject
+from benchmarks.measuring import DATA, TOWN, Line, Subject, at_least, at_most, line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from carla_recap.sim.world import World
 
-    Row = Callable[[Subject], Iterator[Line]]
-
-TOWN: Final = Path("../shared/data/maps/Town01.xodr")
 WARM_UP: Final = 20.0  # s
 BLOCK: Final = 96  # ticks that are timed together
 ROUNDS: Final = 60  # of blocks with and without a recorder
 PAUSE: Final = 0.05  # s of real time, in which the recorded ticks are written
 COUNTS: Final = (50, 100, 200, 400)
-LOGS: Final = Path("../shared/data/carla-logs")
 DRIVES: Final = {
     "the Lincoln of 0.9.10": ("carla-0.9.10-lane-center", 259, 5.3, 99.0),
     "the Lincoln of 0.9.13": ("carla-0.9.13-lane-center", 234, 4.4, 99.0),
@@ -43,99 +37,76 @@ DRIVES: Final = {
 """Recordings, actors, and where their drives begin and how long they take in s: without falls, pauses and collisions."""
 
 
-def in_town(row: Row) -> Row:
-    """Make a row that is left out if the town is missing."""
-
-    @wraps(row)
-    def lines(subject: Subject) -> Iterator[Line]:
-        if TOWN.exists():
-            yield from row(subject)
-
-    return lines
+def driving(_: Subject) -> Iterator[Line]:
+    for world in crowded(100, 30):
+        yield _rate("ticks, 100 vehicles, 30 walkers, recorded", world, 60.0, 300)
 
 
-@in_town
-def driving(subject: Subject) -> Iterator[Line]:
-    world = crowded(100, 30)
-    record(world, ".mcap")
-    yield _rate("ticks, 100 vehicles, 30 walkers, recorded", world, 60.0, 300)
+def parked(_: Subject) -> Iterator[Line]:
+    for world in crowded(100, 0, drive=False):
+        yield _rate("ticks, 100 parked vehicles, recorded", world, 250.0, 1_500)
 
 
-@in_town
-def parked(subject: Subject) -> Iterator[Line]:
-    world = crowded(100, 0, drive=False)
-    record(world, ".mcap")
-    yield _rate("ticks, 100 parked vehicles, recorded", world, 250.0, 1_500)
-
-
-@in_town
-def recorder(subject: Subject) -> Iterator[Line]:
+def recorder(_: Subject) -> Iterator[Line]:
     """The time that recording adds to a tick: ticks with and without it alternate in one world."""
-    for suffix in (".mcap", ".log"):
-        world = crowded(120, 30)
-        record(world, suffix)
-        recorded, bare = in_turns(world)
+    for world in crowded(120, 30):
+        record(world)
+        recorded, bare = [], []
+        for _ in range(ROUNDS):
+            recorded.append(ticks(world))
+            time.sleep(PAUSE)
+            world.listeners.remove(world.recorder)
+            bare.append(ticks(world))
+            world.listeners.append(world.recorder)
         world.close()
-        tick = statistics.median(map(statistics.fmean, bare))
-        costs = [sum(block) / sum(other) - 1 for block, other in zip(recorded, bare, strict=True)]
-        share = statistics.median(costs)
+        share = statistics.median(block / other - 1 for block, other in zip(recorded[1:], bare[1:], strict=True))
+        tick = statistics.median(bare[1:]) / BLOCK
         measured = f"{share * tick * 1e6:.0f} µs of {tick * 1e3:.2f} ms"
-        yield Line(f"recorder of 150 actors, {suffix}", measured, f"{100 * share:.1f} %", "≤ 5 %", share <= 0.05)
-        longest, usual = (max(map(max, blocks)) * 1e3 for blocks in (recorded, bare))
-        measured, more = f"{longest:.1f} / {usual:.1f} ms", longest - usual
-        yield Line(f"longest tick with / without, {suffix}", measured, f"{more:+.1f} ms", "< +10 ms", more < 10)
+        yield line("recorder of 150 actors, .mcap", measured, at_most(100 * share, "{:.1f} %", 5))
 
 
-@in_town
-def scaling(subject: Subject) -> Iterator[Line]:
+def scaling(_: Subject) -> Iterator[Line]:
     """The time of a tick by the number of vehicles."""
-    each = []
     for count in COUNTS:
-        world = crowded(count, 0)
-        tick = min(statistics.fmean(ticks(world, BLOCK)) for _ in range(10))
-        each.append(tick / count)
-        yield Line(f"tick of {count} vehicles", f"{tick * 1e3:.2f} ms", f"{each[-1] * 1e6:.1f} µs each", "", ok=True)
-    ratio = each[-1] / each[0]
-    yield Line(f"cost of each of {COUNTS[-1]} / of {COUNTS[0]}", "", f"{ratio:.2f}", "≤ 1", ratio <= 1)
+        for world in crowded(count, 0):
+            tick = min(ticks(world) for _ in range(10)) / BLOCK
+            yield line(f"tick of {count} vehicles", f"{tick * 1e3:.2f} ms", f"{tick / count * 1e6:.1f} µs each")
 
 
-@in_town
-def an_hour(subject: Subject) -> Iterator[Line]:
+def an_hour(_: Subject) -> Iterator[Line]:
     """The growth of memory in an hour of recording, after the first 10 minutes."""
-    world = crowded(10, 5)
-    world.settings.fixed_delta_seconds = 0.1
-    record(world, ".mcap")
-    world.run(600.0)
-    before = peak()
-    world.run(3_000.0)
-    grown = (peak() - before) / 1e6
-    world.close()
-    yield Line("memory, recording for an hour", f"{before / 1e6:.0f} MB", f"{grown:+.1f} MB", "≤ +5 MB", grown <= 5)
+    for world in crowded(10, 5):
+        world.settings.fixed_delta_seconds = 0.1
+        record(world)
+        world.run(600.0)
+        before = peak()
+        world.run(3_000.0)
+        grown = at_most((peak() - before) / 1e6, "{:+.1f} MB", 5)
+        world.close()
+        yield line("memory, recording for an hour", f"{before / 1e6:.0f} MB", grown)
 
 
-@in_town
-def traffic(subject: Subject) -> Iterator[Line]:
+def traffic(_: Subject) -> Iterator[Line]:
     """100 cars on autopilot for 10 minutes: collisions and stops."""
-    world = crowded(100, 0)
-    world.settings.collisions_of = "all"
-    pairs: set[frozenset[int | None]] = set()
-    stopped = longest = np.zeros(len(world.vehicles))
-    end = world.elapsed + 600.0
-    while world.elapsed < end:
-        world.tick()
-        pairs |= {frozenset((collision.actor1, collision.actor2)) for collision in world.events.collisions}
-        stopped = np.where(np.abs(world.vehicles.speed) < 0.1, stopped + world.delta, 0.0)
-        longest = np.maximum(longest, stopped)
-    stop = float(longest.max())
-    yield Line("100 cars, 10 min: pairs that collide", f"{len(pairs)}", "", "≤ 5", len(pairs) <= 5)
-    yield Line("100 cars, 10 min: longest stop", f"{stop:.0f} s", "", "≤ 180 s", stop <= 180)
+    for world in crowded(100, 0):
+        world.settings.collisions_of = "all"
+        pairs: set[frozenset[int | None]] = set()
+        stopped = longest = np.zeros(len(world.vehicles))
+        end = world.elapsed + 600.0
+        while world.elapsed < end:
+            world.tick()
+            pairs |= {frozenset((collision.actor1, collision.actor2)) for collision in world.events.collisions}
+            stopped = np.where(np.abs(world.vehicles.speed) < 0.1, stopped + world.delta, 0.0)
+            longest = np.maximum(longest, stopped)
+        yield line("100 cars, 10 min: pairs that collide", at_most(len(pairs), "{:.0f}", 5))
+        yield line("100 cars, 10 min: longest stop", at_most(longest.max(), "{:.0f} s", 180))
 
 
 def law_abiding(_: Subject) -> Iterator[Line]:
     """Ten minutes of traffic on autopilot in the built-in town."""
     from carla_recap import open_recording
     from carla_recap.sim import World
-    from carla_recap.sim.traffic.spawning import populate
+    from carla_recap.sim.traffic import populate
 
     world = World(seed=1)
     populate(world, 60, 0)
@@ -143,27 +114,22 @@ def law_abiding(_: Subject) -> Iterator[Line]:
     world.run(600.0)
     world.stop_recorder()
     with open_recording(path) as recording:
-        count = len(broken_rules(recording.reader))
-    yield Line("broken rules, 60 vehicles, 10 min", str(count), "", "0", count == 0)
+        yield line("broken rules, 60 vehicles, 10 min", at_most(len(broken_rules(recording)), "{:.0f}", 0))
 
 
-def drives(subject: Subject) -> Iterator[Line]:
+def drives(_: Subject) -> Iterator[Line]:
     """Recorded drives of CARLA, whose throttle, brake and steering drive the simulator's vehicle again."""
     for drive, (name, actor, start, duration) in DRIVES.items():
-        path = LOGS / f"{name}.log"
+        path = DATA / "carla-logs" / f"{name}.log"
         if path.exists():
             tool = drive_again_tool()
             *_, theirs, ours, _ = tool.drive_again(path, actor, start, duration)
             speed, place, heading = tool.off_by(theirs, ours)
             rms, after = float(np.sqrt(np.mean(speed**2))), tool.soon(theirs)
             good = bool(rms <= 0.5 and place[after] <= 1.0 and abs(heading[after]) <= 2.0)
-            yield Line(
-                f"{drive} driven again: speed, and place after 3 s",
-                f"{rms:.2f} m/s rms",
-                f"{place[after]:.2f} m, {abs(heading[after]):.1f}° off",
-                "≤ 0.5 m/s, 1 m, 2°",
-                good,
-            )
+            then = f"{place[after]:.2f} m, {abs(heading[after]):.1f}° off"
+            what = f"{drive} driven again: speed, and place after 3 s"
+            yield Line(what, f"{rms:.2f} m/s rms", then, "≤ 0.5 m/s, 1 m, 2°", good)
 
 
 ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic, law_abiding, drives)
@@ -178,44 +144,32 @@ def drive_again_tool() -> ModuleType:
     return module
 
 
-def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> World:
-    """Return a world with traffic that has driven for a while."""
+def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> Iterator[World]:
+    """Yield a world with traffic that has driven for a while; none if the town is missing."""
     from carla_recap.sim.town.loading import load_town
-    from carla_recap.sim.traffic.spawning import populate
+    from carla_recap.sim.traffic import populate
     from carla_recap.sim.world import World
 
-    world = World(load_town(TOWN), seed=0, date=0)
-    populate(world, vehicles, walkers)
-    for vehicle in world.vehicles.actors:
-        vehicle.set_autopilot(drive)
-    world.run(WARM_UP)
-    return world
+    if TOWN.exists():
+        world = World(load_town(TOWN), seed=0, date=0)
+        populate(world, vehicles, walkers)
+        for vehicle in world.vehicles.actors:
+            vehicle.set_autopilot(drive)
+        world.run(WARM_UP)
+        yield world
 
 
-def record(world: World, suffix: str) -> None:
+def record(world: World) -> None:
     DIRECTORY.mkdir(parents=True, exist_ok=True)
-    world.start_recorder((DIRECTORY / "simulated").with_suffix(suffix).resolve())
+    world.start_recorder((DIRECTORY / "simulated.mcap").resolve())
 
 
-def ticks(world: World, count: int) -> list[float]:
-    """Return the seconds that each of several ticks takes."""
-    times = [time.perf_counter()]
-    for _ in range(count):
+def ticks(world: World) -> float:
+    """Return the seconds of a block of ticks."""
+    begin = time.perf_counter()
+    for _ in range(BLOCK):
         world.tick()
-        times.append(time.perf_counter())
-    return [end - begin for begin, end in pairwise(times)]
-
-
-def in_turns(world: World) -> tuple[list[list[float]], list[list[float]]]:
-    """Return the seconds of ticks with and without the recorder, which alternate in blocks."""
-    recorded, bare = [], []
-    for _ in range(ROUNDS):
-        recorded.append(ticks(world, BLOCK))
-        time.sleep(PAUSE)
-        world.listeners.remove(world.recorder)
-        bare.append(ticks(world, BLOCK))
-        world.listeners.append(world.recorder)
-    return recorded[1:], bare[1:]
+    return time.perf_counter() - begin
 
 
 def peak() -> int:
@@ -227,9 +181,10 @@ def peak() -> int:
 
 
 def _rate(what: str, world: World, seconds: float, goal: int) -> Line:
-    """Return the line of the ticks a second, including the time to complete the recording."""
+    """Return the line of the recorded ticks a second, including the time to complete the recording."""
+    record(world)
     first, begin = world.frame, time.perf_counter()
     world.run(seconds)
     world.close()
     rate = (world.frame - first) / (time.perf_counter() - begin)
-    return Line(what, f"{rate:,.0f} a second", f"{rate * world.delta:,.0f} x real time", f"≥ {goal:,} /s", rate >= goal)
+    return line(what, at_least(rate, "{:,.0f} a second", goal), f"{rate * world.delta:,.0f} x real time")

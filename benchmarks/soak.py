@@ -15,145 +15,103 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import carla
+import psutil
+
+from benchmarks.server import connect, managed, settings, shut_down, spawn, ticks
 
 TIMEOUT = 90.0  # s, after which a round hangs
 WARM_UP = 2  # the least number of rounds of each kind
 GROWTH = 1.15  # allowed factor of memory from the first half to the second
 SLACK = 24 << 20  # bytes, allowed on top of that
-DELTA = 0.05  # s
 MANAGERS = range(20_000, 30_000)  # ports of traffic managers
-PROC = Path("/proc")
 MAPS = ("Town01", "Town02", "Town10HD")
 """The names of copies of the built-in town, if no folder of maps is given."""
 
 
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """Resources of a server.
+class Figures(NamedTuple):
+    """Resources of a server."""
 
-    Attributes:
-        memory: Resident memory in bytes.
-        files: Number of open files, connections among them.
-        threads: Number of threads.
-        children: Number of child processes.
-        actors: Number of spawned actors that could not be destroyed.
-    """
-
-    memory: int
-    files: int
+    memory: int  # resident, in bytes
+    files: int  # that are open, connections among them
     threads: int
-    children: int
-    actors: int
+    children: int  # processes
+    actors: int  # that were spawned, and could not be destroyed
+
+    def __str__(self) -> str:
+        counts = "  ".join(f"{count:4} {name}" for name, count in self._asdict().items() if name != "memory")
+        return f"{self.memory / 1e6:7.1f} MB  {counts}"
 
 
-@dataclass
-class Soak:
-    """A run of rounds on one server.
+def soak(port: int, pid: int, minutes: float, seed: int) -> list[str]:
+    """Run rounds of all kinds in random order for a number of minutes, and return what is wrong, a line each."""
+    generator, wrong, found = random.Random(seed), [], list[Figures]()
+    begin = printed = time.monotonic()
+    number = 0
+    while time.monotonic() < begin + 60 * minutes or number < WARM_UP * len(ROUNDS):
+        for name in generator.sample(list(ROUNDS), len(ROUNDS)):
+            number += 1
+            failure = round_of(name, port, generator.choice(MANAGERS))
+            if not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
+                return [*wrong, f"round {number}, {name}: the server has crashed"]
+            if failure:
+                wrong.append(f"round {number}, {name}: {failure}")
+                print(wrong[-1], flush=True)
+        found.append(figures(port, psutil.Process(pid)))
+        if time.monotonic() - printed > 60 or len(found) == 1:
+            printed = time.monotonic()
+            print(f"{number:6} rounds  {found[-1]}  {len(wrong):3} failures", flush=True)
+    print(f"{number:6} rounds  {found[-1]}  {len(wrong):3} failures", flush=True)
+    return wrong + growth(found)
 
-    Attributes:
-        port: Port of the server.
-        process: Process id of the server.
-        failures: The failures, a line each.
-        figures: Figures after each series of rounds.
-    """
 
-    port: int
-    process: int
-    failures: list[str] = field(default_factory=list)
-    figures: list[Figures] = field(default_factory=list)
+def round_of(name: str, port: int, seed: int) -> str:
+    """Run a client in a process of its own, and return what is wrong with its end."""
+    command = [sys.executable, "-m", "benchmarks.soak", "--round", name, "--port", str(port), "--seed", str(seed)]
+    try:
+        done = subprocess.run(command, timeout=TIMEOUT, capture_output=True, text=True, check=False)
+    except subprocess.TimeoutExpired:
+        return "hangs"
+    printed = " ".join(done.stderr.split())[-300:]
+    expected = -9 if name.startswith("be_killed") else 0
+    return "" if done.returncode == expected else f"ended with exit code {done.returncode}: {printed}"
 
-    def run(self, minutes: float, seed: int) -> None:
-        """Run rounds of all kinds in random order for a number of minutes; end early if the server has crashed."""
-        generator = random.Random(seed)
-        end = time.monotonic() + 60 * minutes
-        printed = time.monotonic()
-        number = 0
-        while time.monotonic() < end or number < WARM_UP * len(ROUNDS):
-            names = list(ROUNDS)
-            generator.shuffle(names)
-            for name in names:
-                number += 1
-                self.round(number, name, generator.choice(MANAGERS))
-                if not (PROC / str(self.process) / "fd").exists() or not self.is_running():
-                    self.fail(f"round {number}, {name}: the server has crashed")
-                    return
-            self.figures.append(self.measure())
-            if time.monotonic() - printed > 60 or len(self.figures) == 1:
-                printed = time.monotonic()
-                self.print_figures(number)
-        self.print_figures(number)
 
-    def round(self, number: int, name: str, seed: int) -> None:
-        """Run a client in a process of its own, and check how it ends."""
-        command = [sys.executable, "-m", "benchmarks.soak", "--round", name, "--port", str(self.port), "--number", str(seed)]
-        try:
-            done = subprocess.run(command, timeout=TIMEOUT, capture_output=True, text=True, check=False)
-        except subprocess.TimeoutExpired:
-            return self.fail(f"round {number}, {name}: hangs")
-        if done.returncode != KILLED.get(name, 0):
-            printed = " ".join(done.stderr.split())[-300:]
-            self.fail(f"round {number}, {name}: ended with exit code {done.returncode}: {printed}")
-        return None
+def figures(port: int, server: psutil.Process) -> Figures:
+    """Return the figures of the server, after destroying the actors that killed clients have left."""
+    client = connect(port)
+    world = client.get_world()
+    client.stop_recorder()
+    world.apply_settings(settings())
+    world.tick()
+    clean(world)
+    world.tick()
+    actors = len(spawned(world))
+    world.apply_settings(settings(synchronous=False))
+    del client, world
+    time.sleep(0.5)
+    counts = server.num_fds(), server.num_threads(), len(server.children())
+    return Figures(server.memory_info().rss, *counts, actors)
 
-    def fail(self, failure: str) -> None:
-        """Record a failure, and print it."""
-        print(failure, flush=True)
-        self.failures.append(failure)
 
-    def is_running(self) -> bool:
-        """Return whether the server has not ended."""
-        return "\nState:\tZ" not in (PROC / str(self.process) / "status").read_text()
-
-    def measure(self) -> Figures:
-        """Return the figures of the server, after destroying the actors that killed clients have left."""
-        client, world = connect(self.port)
-        client.stop_recorder()
-        world.apply_settings(settings())
-        world.tick()
-        for actor in world.get_actors():
-            if not belongs_to_town(actor):
-                actor.destroy()
-        world.tick()
-        actors = sum(not belongs_to_town(actor) for actor in world.get_actors())
-        world.apply_settings(settings(synchronous=False))
-        del client, world
-        time.sleep(0.5)
-        process = PROC / str(self.process)
-        status = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines())
-        memory = int(status["VmRSS"].split()[0]) << 10
-        files = sum(1 for _ in (process / "fd").iterdir())
-        children = sum(len(path.read_text().split()) for path in process.glob("task/*/children"))
-        return Figures(memory, files, int(status["Threads"]), children, actors)
-
-    def print_figures(self, number: int) -> None:
-        latest = self.figures[-1]
-        print(
-            f"{number:6} rounds  {latest.memory / 1e6:7.1f} MB  {latest.files:4} files  {latest.threads:3} threads  "
-            f"{latest.children:2} children  {latest.actors:3} actors left  {len(self.failures):3} failures",
-            flush=True,
-        )
-
-    def judge(self) -> list[str]:
-        """Return what is wrong, a line each."""
-        if not self.figures:
-            return self.failures
-        settled = self.figures[len(self.figures) // 3 :] or self.figures
-        first, last = settled[: len(settled) // 2] or settled, settled[len(settled) // 2 :]
-        before, after = max(figures.memory for figures in first), max(figures.memory for figures in last)
-        wrong = list(self.failures)
-        if after > before * GROWTH + SLACK:
-            wrong.append(f"memory has grown from {before / 1e6:.0f} to {after / 1e6:.0f} MB")
-        for name in ("files", "threads", "children"):  # what clients leave is closed a little later: the least of each half
-            before, after = (min(getattr(figures, name) for figures in half) for half in (first, last))
-            if after > before + 1:
-                wrong.append(f"the number of {name} has grown from {before} to {after}")
-        if any(figures.actors for figures in self.figures):
-            wrong.append("actors were left that could not be destroyed")
-        return wrong
+def growth(found: list[Figures]) -> list[str]:
+    """Return what has grown from the first half to the second, but for a third at the beginning."""
+    wrong = []
+    settled = found[len(found) // 3 :]
+    first, last = settled[: len(settled) // 2] or settled, settled[len(settled) // 2 :]
+    before, after = (max(each.memory for each in half) for half in (first, last))
+    if after > before * GROWTH + SLACK:
+        wrong.append(f"memory has grown from {before / 1e6:.0f} to {after / 1e6:.0f} MB")
+    for name in ("files", "threads", "children"):  # what clients leave is closed a little later: the least of each half
+        before, after = (min(getattr(each, name) for each in half) for half in (first, last))
+        if after > before + 1:
+            wrong.append(f"the number of {name} has grown from {before} to {after}")
+    if any(each.actors for each in found):
+        wrong.append("actors were left that could not be destroyed")
+    return wrong
 
 
 # --- rounds ---------------------------------------------------------------------------------------------------------------
@@ -289,43 +247,8 @@ def record(client: carla.Client, world: carla.World, seed: int) -> None:
     world.apply_settings(settings(synchronous=False))
 
 
-ROUNDS = {
-    work.__name__: work
-    for work in (
-        visit,
-        drive,
-        drive_hybrid,
-        sleep_and_freeze,
-        shove,
-        be_killed,
-        be_killed_while_loading,
-        reload,
-        load,
-        record,
-    )
-}
-KILLED = {"be_killed": -9, "be_killed_while_loading": -9}
-
-
-def managed(
-    client: carla.Client, world: carla.World, seed: int, count: int, *, hybrid: bool = False
-) -> tuple[carla.TrafficManager, list[carla.Actor]]:
-    """Return a traffic manager in synchronous mode, and its vehicles; with hybrid physics, the first one is the hero."""
-    manager = client.get_trafficmanager(seed)
-    manager.set_synchronous_mode(True)
-    manager.set_hybrid_physics_mode(hybrid)
-    manager.set_hybrid_physics_radius(50.0)
-    vehicles = spawn(world, count, role_name="hero" if hybrid else "autopilot")
-    for vehicle in vehicles:
-        vehicle.set_autopilot(True, seed)
-    return manager, vehicles
-
-
-def shut_down(world: carla.World, manager: carla.TrafficManager) -> None:
-    """Shut a traffic manager down, and leave the world in asynchronous mode."""
-    manager.set_synchronous_mode(False)
-    manager.shut_down()
-    world.apply_settings(settings(synchronous=False))
+WORKS = (visit, drive, drive_hybrid, sleep_and_freeze, shove, be_killed, be_killed_while_loading, reload, load, record)
+ROUNDS = {work.__name__: work for work in WORKS}
 
 
 def listening(world: carla.World, parents: list[carla.Actor], sensor: str) -> list[carla.Sensor]:
@@ -337,42 +260,15 @@ def listening(world: carla.World, parents: list[carla.Actor], sensor: str) -> li
     return sensors
 
 
-def spawn(world: carla.World, count: int, role_name: str = "autopilot") -> list[carla.Actor]:
-    """Return new vehicles, after destroying those of killed clients; the role name is that of the first vehicle."""
-    for actor in world.get_actors():
-        if not belongs_to_town(actor):
-            actor.destroy()
-    blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
-    points = world.get_map().get_spawn_points()[:: max(1, len(world.get_map().get_spawn_points()) // count)]
-    vehicles = []
-    for point in points:
-        blueprint.set_attribute("role_name", "autopilot" if vehicles else role_name)
-        if vehicle := world.try_spawn_actor(blueprint, point):
-            vehicles.append(vehicle)
-    return vehicles
+def spawned(world: carla.World) -> list[carla.Actor]:
+    """Return the actors that clients have spawned."""
+    return [actor for actor in world.get_actors() if not actor.type_id.startswith(("traffic.", "spectator"))]
 
 
-def ticks(world: carla.World, count: int) -> None:
-    """Tick a number of times."""
-    for _ in range(count):
-        world.tick()
-
-
-def belongs_to_town(actor: carla.Actor) -> bool:
-    """Return whether an actor belongs to the town, and was not spawned by a client."""
-    return actor.type_id.startswith(("traffic.", "spectator"))
-
-
-def settings(*, synchronous: bool = True) -> carla.WorldSettings:
-    """Return the settings of a world."""
-    return carla.WorldSettings(synchronous_mode=synchronous, fixed_delta_seconds=DELTA if synchronous else 0.0)
-
-
-def connect(port: int) -> tuple[carla.Client, carla.World]:
-    """Return a client, and its world."""
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(30.0)
-    return client, client.get_world()
+def clean(world: carla.World) -> None:
+    """Destroy the actors of killed clients."""
+    for actor in spawned(world):
+        actor.destroy()
 
 
 def copied_maps(folder: Path) -> Path:
@@ -394,10 +290,14 @@ def main() -> None:
     parser.add_argument("--maps", type=Path, help="folder of maps; else copies of the built-in one")
     parser.add_argument("--round", choices=ROUNDS, help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--number", type=int, default=MANAGERS[0], help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.round:
-        ROUNDS[options.round](*connect(options.port), options.number)
+        client = connect(options.port)
+        world = client.get_world()
+        world.apply_settings(settings())
+        world.tick()
+        clean(world)
+        ROUNDS[options.round](client, world, options.seed)
         return
     with tempfile.TemporaryDirectory() as folder:
         maps = options.maps or copied_maps(Path(folder) / "maps")
@@ -405,14 +305,13 @@ def main() -> None:
         command += [f"--recordings={folder}/recordings", f"--maps={maps}"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
             assert server.stdout is not None
-            soak = Soak(int(server.stdout.readline().rsplit(":", 1)[1]), server.pid)
             try:
-                soak.run(options.minutes, options.seed)
+                port = int(server.stdout.readline().rsplit(":", 1)[1])
+                wrong = soak(port, server.pid, options.minutes, options.seed)
             finally:
                 server.terminate()
             if server.wait(TIMEOUT):
-                soak.failures.append(f"the server has ended with exit code {server.returncode}")
-    wrong = soak.judge()
+                wrong.append(f"the server has ended with exit code {server.returncode}")
     print("\n".join(wrong) or "no crash, no leak, no hang")
     sys.exit(bool(wrong))
 

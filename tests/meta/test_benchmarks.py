@@ -27,7 +27,7 @@ def test_the_benchmarks_run(tmp_path):
     )
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
-    assert len(lines) == 1 + 3 + 3 + 4 + 2 + 4 + 1 + 4
+    assert len(lines) == 1 + 3 + 3 + 3 + 2 + 4 + 1 + 4
     assert lines[0].split() == ["what", "measured", "ratio", "goal", "met?"]
     (equal,) = [line for line in lines if ".log → .mcap → .log" in line]
     assert equal.endswith("ok")

@@ -11,22 +11,21 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from tools.models.cars import CARS
-from tools.models.cycles import CYCLES
+from tools.models import cars, cycles, people, props, signs, street, trucks  # noqa: F401  which list the models
 from tools.models.glb import glb
-from tools.models.people import PEOPLE
-from tools.models.props import PROPS
-from tools.models.signs import SIGNS
-from tools.models.street import STREET
-from tools.models.trucks import TRUCKS
+from tools.models.solid import MODELS, Solid
 
 FOLDER: Final = Path(__file__).parents[2] / "viewer" / "models"
 
 
 def models() -> dict[str, bytes]:
     """Return the contents of all files by name."""
-    makes = {**STREET, **CARS, **TRUCKS, **CYCLES, **PEOPLE, **PROPS, **SIGNS}
-    return {f"{name.replace(' ', '_')}.glb": glb(name, make()) for name, make in makes.items()}
+    made = {}
+    for name, add in MODELS.items():
+        solid = Solid()
+        add(solid)
+        made[f"{name.replace(' ', '_')}.glb"] = glb(name, solid)
+    return made
 
 
 def main() -> int:

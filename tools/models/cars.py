@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.scene.materials import Material
-from tools.models.solid import Make, Solid
+from tools.models.solid import Solid, model
 
 if TYPE_CHECKING:
     from tools.models.solid import Floats
@@ -69,14 +69,14 @@ class CarShape:
     sill: float = 0.07
 
 
-def car(shape: CarShape) -> Solid:
-    """Return a car."""
-    solid = Solid()
+def car(solid: Solid, shape: CarShape) -> None:
+    """Add a car."""
     _body(solid, shape)
     _cabin(solid, shape)
-    _wheels(solid, shape)
+    y = shape.width / 2 - 0.015
+    for number, distance in enumerate(shape.axles):
+        axle(solid, shape.length / 2 - distance, y, shape.wheel, 0.12 * shape.width, steered=number == 0)
     _details(solid, shape)
-    return solid
 
 
 def _at(profile: Profile, distance: float) -> float:
@@ -262,13 +262,6 @@ def axle(
     else:
         wheel(left, x, y, radius, width, rim=rim)
     solid.add_both(left)
-
-
-def _wheels(solid: Solid, shape: CarShape) -> None:
-    for number, distance in enumerate(shape.axles):
-        axle(
-            solid, shape.length / 2 - distance, shape.width / 2 - 0.015, shape.wheel, 0.12 * shape.width, steered=number == 0
-        )
 
 
 def _details(solid: Solid, shape: CarShape) -> None:
@@ -458,19 +451,19 @@ BUS: Final = replace(
 )
 
 
-def police_car() -> Solid:
-    """Return a police car: a sedan with light doors and a bar of beacons."""
+@model
+def police_car(solid: Solid) -> None:
+    """Add a police car: a sedan with light doors and a bar of beacons."""
     shape = replace(SEDAN, name="police car", doors=M.SECOND_PAINT)
-    solid = car(shape)
+    car(solid, shape)
     beacons(solid, 0.05, shape.roof - 0.02, 0.55)
-    return solid
 
 
-def taxi() -> Solid:
-    """Return a taxi: a sedan with a sign on its roof."""
-    solid = car(replace(SEDAN, name="taxi"))
+@model
+def taxi(solid: Solid) -> None:
+    """Add a taxi: a sedan with a sign on its roof."""
+    car(solid, replace(SEDAN, name="taxi"))
     solid.box((-0.12, -0.3, SEDAN.roof - 0.02), (0.12, 0.3, SEDAN.roof + 0.14), M.SECOND_PAINT, top=(0.6, 0.9))
-    return solid
 
 
 def beacons(solid: Solid, x: float, z: float, half: float) -> None:
@@ -480,9 +473,5 @@ def beacons(solid: Solid, x: float, z: float, half: float) -> None:
         solid.box((x - 0.11, y - half * 0.36, z + 0.05), (x + 0.11, y + half * 0.36, z + 0.15), M.BEACON, top=(0.7, 0.9))
 
 
-CARS: Final[dict[str, Make]] = {
-    **{shape.name: partial(car, shape) for shape in (SEDAN, HATCHBACK, COUPE, SUV, OFF_ROADER, MICROCAR, VAN, MINIBUS, BUS)},
-    "police car": police_car,
-    "taxi": taxi,
-}
-"""The functions that make the cars, vans and buses, by name."""
+for _shape in (SEDAN, HATCHBACK, COUPE, SUV, OFF_ROADER, MICROCAR, VAN, MINIBUS, BUS):
+    model(partial(car, shape=_shape), _shape.name)

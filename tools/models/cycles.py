@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.scene.materials import Material
-from tools.models.solid import Make, Solid
+from tools.models.solid import Solid, model
 
 if TYPE_CHECKING:
     from tools.models.solid import Point
@@ -73,9 +73,9 @@ def _wheel(solid: Solid, x: float, radius: float, width: float, *, spokes: Mater
     solid.tube(disc, (x, 0, radius), material, sides=12, caps=False)
 
 
-def motorcycle() -> Solid:
-    """Return a motorcycle with its rider."""
-    solid = Solid()
+@model
+def motorcycle(solid: Solid) -> None:
+    """Add a motorcycle with its rider."""
     with solid.steered(0.72, 0.0):
         _wheel(solid, 0.72, 0.31, 0.12, spokes=M.RIM)
         for y in (-0.09, 0.09):
@@ -113,12 +113,11 @@ def motorcycle() -> Solid:
         (0.10, 0, 1.54),
     )
     _rider(solid, pose)
-    return solid
 
 
-def scooter() -> Solid:
-    """Return a scooter with its rider."""
-    solid = Solid()
+@model
+def scooter(solid: Solid) -> None:
+    """Add a scooter with its rider."""
     with solid.steered(0.62, 0.0):
         _wheel(solid, 0.62, 0.23, 0.10, spokes=M.RIM)
         solid.limb((0.62, 0, 0.23), (0.42, 0, 0.98), (0.045, 0.05), M.PAINT, sides=6)
@@ -160,7 +159,6 @@ def scooter() -> Solid:
         (-0.20, 0, 1.56),
     )
     _rider(solid, pose)
-    return solid
 
 
 def _bike_lamps(solid: Solid, front: float, rear: float, z: float) -> None:
@@ -180,9 +178,9 @@ def _mirrors(solid: Solid, x: float, z: float) -> None:
     solid.add_both(left)
 
 
-def bicycle() -> Solid:
-    """Return a bicycle with its rider."""
-    solid = Solid()
+@model
+def bicycle(solid: Solid) -> None:
+    """Add a bicycle with its rider."""
     front, rear, radius = 0.52, -0.52, 0.34
     with solid.steered(front, 0.0):
         _wheel(solid, front, radius, 0.05, spokes=None)
@@ -213,12 +211,3 @@ def bicycle() -> Solid:
         (0.10, 0, 1.60),
     )
     _rider(solid, pose)
-    return solid
-
-
-CYCLES: Final[dict[str, Make]] = {
-    "motorcycle": motorcycle,
-    "scooter": scooter,
-    "bicycle": bicycle,
-}
-"""The functions that make the two-wheelers, by name."""

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.scene.materials import Material
-from tools.models.solid import Make, Solid
+from tools.models.solid import Solid, model
 
 if TYPE_CHECKING:
     from tools.models.solid import Point
@@ -31,9 +31,8 @@ _COMPLEXIONS: Final = (
 )
 
 
-def walker(clothes: Clothes, *, long_hair: bool = False, child: bool = False) -> Solid:
-    """Return a person in mid-stride."""
-    solid = Solid()
+def walker(solid: Solid, clothes: Clothes, *, long_hair: bool = False, child: bool = False) -> None:
+    """Add a person in mid-stride."""
     head = 0.13 if child else 0.105
     hip, shoulder, crown = (0.80, 1.37, 1.8) if child else (0.90, 1.43, 1.8)
     chin = crown - 2 * head * 1.22
@@ -56,7 +55,6 @@ def walker(clothes: Clothes, *, long_hair: bool = False, child: bool = False) ->
     _torso(solid, hip, shoulder, clothes)
     solid.limb((0.0, 0.0, shoulder), (0.015, 0.0, chin + 0.05), (0.055, 0.05), clothes.skin, sides=5, caps=False)
     _head(solid, (0.02, 0.0, (crown + chin) / 2), head, clothes, long_hair=long_hair)
-    return solid
 
 
 def _torso(solid: Solid, hip: float, shoulder: float, clothes: Clothes) -> None:
@@ -93,9 +91,7 @@ def _head(solid: Solid, center: Point, radius: float, clothes: Clothes, *, long_
         solid.limb((x - radius * 0.6, y, z), low, (radius * 0.8, radius * 0.5), clothes.hair, sides=6, flat=1.2)
 
 
-PEOPLE: Final[dict[str, Make]] = {
-    f"{name} {number}": partial(walker, clothes, **shape)
-    for number, clothes in enumerate(_COMPLEXIONS)
-    for name, shape in (("man", {}), ("woman", {"long_hair": True}), ("child", {"child": True}))
-}
-"""The functions that make the walkers, by name."""
+for _number, _clothes in enumerate(_COMPLEXIONS):
+    model(partial(walker, clothes=_clothes), f"man {_number}")
+    model(partial(walker, clothes=_clothes, long_hair=True), f"woman {_number}")
+    model(partial(walker, clothes=_clothes, child=True), f"child {_number}")

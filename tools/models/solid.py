@@ -41,8 +41,8 @@ class Group(NamedTuple):
     triangles: dict[Material, list[tuple[int, int, int]]]
 
 
-Make = Callable[[], "Solid"]
-"""A function that makes a solid."""
+MODELS: Final[dict[str, Callable[[Solid], None]]] = {}
+"""The functions that add the models to a solid, by name."""
 
 
 class _Facet(NamedTuple):
@@ -269,6 +269,12 @@ class _Steered:
 
     def __exit__(self, *exception: object) -> None:
         self._solid._pivot = None
+
+
+def model(add: Callable[[Solid], None], name: str | None = None) -> Callable[[Solid], None]:
+    """List a model by a name, or by that of the function that adds it to a solid."""
+    MODELS[name or add.__name__.strip("_").replace("_", " ")] = add
+    return add
 
 
 def _material(material: MaterialOf, ring: int, point: int) -> Material:

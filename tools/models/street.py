@@ -7,7 +7,7 @@ from math import cos, pi, sin
 from typing import Final
 
 from carla_recap.scene.materials import Material
-from tools.models.solid import Make, Solid
+from tools.models.solid import Solid, model
 
 M: Final = Material
 
@@ -16,9 +16,9 @@ ROOT: Final = 0.5
 _LAMP: Final = 0.125  # m, the radius
 
 
-def traffic_light() -> Solid:
-    """Return a traffic light on a post. It faces -y: the traffic that it stops drives along y."""
-    solid = Solid()
+@model
+def traffic_light(solid: Solid) -> None:
+    """Add a traffic light on a post. It faces -y: the traffic that it stops drives along y."""
     solid.limb((0, 0, -ROOT), (0, 0, 3.62), (0.065, 0.055), M.POLE, sides=8)
     solid.box((-0.11, -0.11, 0.0), (0.11, 0.11, 0.32), M.POLE, top=(0.8, 0.8))
     solid.box((-0.24, -0.145, 2.48), (0.24, -0.125, 3.72), M.LIGHT_HOUSING)
@@ -34,12 +34,11 @@ def traffic_light() -> Solid:
             far = ((x1 * hood, -0.52, z + up1 * hood), (x0 * hood, -0.52, z + up0 * hood))
             solid.facet((*near, *far), M.LIGHT_HOUSING)
             solid.facet((*near, *far)[::-1], M.LIGHT_HOUSING)
-    return solid
 
 
-def collision_mark() -> Solid:
-    """Return a ring on the ground."""
-    solid = Solid()
+@model
+def collision_mark(solid: Solid) -> None:
+    """Add a ring on the ground."""
     count = 24
     for i in range(count):
         angles = (2 * pi * i / count, 2 * pi * (i + 1) / count)
@@ -49,19 +48,9 @@ def collision_mark() -> Solid:
                 [(x * r, y * r, 0.0) for x, y, r in ((x0, y0, inner), (x0, y0, outer), (x1, y1, outer), (x1, y1, inner))],
                 M.COLLISION_MARK,
             )
-    return solid
 
 
-def box(material: Material = M.PAINT) -> Solid:
-    """Return a box."""
-    solid = Solid()
-    solid.box((-0.5, -0.5, 0), (0.5, 0.5, 1), material)
-    return solid
-
-
-STREET: Final[dict[str, Make]] = {
-    "box": box,
-    "traffic light": traffic_light,
-    "collision mark": collision_mark,
-}
-"""The functions that make what stands in streets, by name."""
+@model
+def box(solid: Solid) -> None:
+    """Add a box."""
+    solid.box((-0.5, -0.5, 0), (0.5, 0.5, 1), M.PAINT)

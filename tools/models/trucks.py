@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.scene.materials import Material
 from tools.models.cars import SUV, VAN, CarShape, axle, beacons, car, plate
-from tools.models.solid import Make, Solid
+from tools.models.solid import Solid, model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,23 +36,17 @@ CAB: Final = replace(
 )
 
 
-def _truck(shape: CarShape, length: float, rear_axles: Sequence[float]) -> Solid:
-    """Return a cab at the front of a chassis.
-
-    Args:
-        shape: The cab.
-        length: The length of the truck.
-        rear_axles: The distances of the rear axles from its front.
-    """
-    solid = Solid()
-    solid.add(car(shape), ((length - shape.length) / 2, 0, 0))
+def _truck(solid: Solid, shape: CarShape, length: float, rear_axles: Sequence[float]) -> None:
+    """Add a truck of a length in m: a cab at the front of a chassis, whose rear axles are at distances from its front."""
+    cab = Solid()
+    car(cab, shape)
+    solid.add(cab, ((length - shape.length) / 2, 0, 0))
     front = length / 2
     height = shape.wheel + 0.32
     solid.box((-front + 0.1, -0.42, shape.wheel), (front - shape.length + 0.3, 0.42, height), M.TRIM)
     for distance in rear_axles:
         axle(solid, front - distance, shape.width / 2 - 0.04, shape.wheel, 0.5)
     _tail(solid, -front, shape.wheel + 0.1, shape.width / 2)
-    return solid
 
 
 def _tail(solid: Solid, x: float, z: float, half: float) -> None:
@@ -87,30 +81,31 @@ def _body(solid: Solid, low: Point, high: Point) -> None:
     solid.add_both(left)
 
 
-def box_truck() -> Solid:
-    """Return a truck with a closed body."""
+@model
+def box_truck(solid: Solid) -> None:
+    """Add a truck with a closed body."""
     shape = replace(CAB, length=1.9, width=2.2, wheel=0.42, roof=2.2, axles=(1.1,), clearance=0.34)
     shape = replace(shape, deck=((0.0, 1.12), (0.08, 1.2), (1.9, 1.24)), cabin=(0.06, 1.88, 0.36, 1.84))
-    solid = _truck(shape, 5.6, (4.4,))
+    _truck(solid, shape, 5.6, (4.4,))
     _body(solid, (-2.8, -1.15, 0.78), (0.84, 1.15, 2.62))
-    return solid
 
 
-def lorry() -> Solid:
-    """Return a lorry: a high cab, a long body, three axles."""
-    solid = _truck(replace(CAB, roof=3.3), 8.2, (5.7, 7.0))
+@model
+def lorry(solid: Solid) -> None:
+    """Add a lorry: a high cab, a long body, three axles."""
+    _truck(solid, replace(CAB, roof=3.3), 8.2, (5.7, 7.0))
     _body(solid, (-4.1, -1.25, 1.0), (1.75, 1.25, 3.45))
     for side in (-1, 1):
         solid.box((-0.6, side * 1.05 - 0.12, 0.5), (1.0, side * 1.05 + 0.12, 0.95), M.TRIM)
-    return solid
 
 
-def fire_engine() -> Solid:
-    """Return a fire engine: a crew cab, lockers with shutters, a ladder and beacons."""
+@model
+def fire_engine(solid: Solid) -> None:
+    """Add a fire engine: a crew cab, lockers with shutters, a ladder and beacons."""
     length, cab = 8.4, 3.2
     shape = replace(CAB, length=cab, axles=(1.4,), roof=2.85, pillars=(0.32, 0.4, 0.7), glazed=0.75, lamp=(0.32, 0.12))
     shape = replace(shape, deck=((0.0, 1.42), (0.08, 1.52), (cab, 1.55)), cabin=(0.06, cab - 0.01, 0.24, cab - 0.05))
-    solid = _truck(shape, length, (6.1,))
+    _truck(solid, shape, length, (6.1,))
     low, rear, front = 1.06, -length / 2, length / 2 - cab - 0.06
     solid.box((rear, -1.23, low), (front, 1.23, 2.9), M.PAINT)
     solid.box((rear - 0.004, -1.236, low + 0.02), (front + 0.004, 1.236, low + 0.24), M.YELLOW_BAND)
@@ -130,17 +125,17 @@ def fire_engine() -> Solid:
     for x in (rear + 0.5, front - 0.4):
         solid.box((x, -0.45, 2.88), (x + 0.08, 0.45, 3.03), M.TRIM)
     beacons(solid, length / 2 - 0.75, 2.83, 1.0)
-    return solid
 
 
-def ambulance() -> Solid:
-    """Return an ambulance: a van's cab and a high body with stripes."""
+@model
+def ambulance(solid: Solid) -> None:
+    """Add an ambulance: a van's cab and a high body with stripes."""
     length = 6.3
     shape = replace(VAN, length=2.9, axles=(0.98,), cabin=(1.0, 2.8, 1.6, 2.8), roof=2.05, pillars=(0.72,), glazed=0.75)
     shape = replace(
         shape, deck=((0.0, 0.86), (0.12, 0.98), (0.5, 1.08), (1.0, 1.2), (2.9, 1.24)), wheel=0.38, width=2.0, tail=False
     )
-    solid = _truck(shape, length, (4.95,))
+    _truck(solid, shape, length, (4.95,))
     rear, front = -length / 2, length / 2 - 2.6
     solid.box((rear, -1.14, 0.62), (front, 1.14, 2.55), M.PAINT)
     solid.box((rear + 0.02, -1.02, 2.5), (front - 0.05, 1.02, 2.62), M.PAINT)
@@ -156,11 +151,11 @@ def ambulance() -> Solid:
     ):
         solid.box((x, y0, 2.38), (x + 0.07, y1, 2.5), M.BEACON)
     beacons(solid, length / 2 - 1.95, 2.03, 0.6)
-    return solid
 
 
-def pickup() -> Solid:
-    """Return a pickup with a bed."""
+@model
+def pickup(solid: Solid) -> None:
+    """Add a pickup with a bed."""
     shape = replace(
         SUV,
         name="pickup",
@@ -174,16 +169,5 @@ def pickup() -> Solid:
         roof=1.98,
         pillars=(0.5,),
     )
-    solid = car(shape)
+    car(solid, shape)
     solid.facet([(x, y, 1.325) for x, y in ((-2.75, -0.75), (-1.15, -0.75), (-1.15, 0.75), (-2.75, 0.75))], M.TRIM)
-    return solid
-
-
-TRUCKS: Final[dict[str, Make]] = {
-    "box truck": box_truck,
-    "lorry": lorry,
-    "fire engine": fire_engine,
-    "ambulance": ambulance,
-    "pickup": pickup,
-}
-"""The functions that make the trucks, by name."""
