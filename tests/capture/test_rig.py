@@ -60,7 +60,6 @@ RIG = [
     {"type": "sensor.speedometer", "id": "speed"},
 ]
 POINT = np.dtype([("place", "<(3,)f4"), ("intensity", "<f4")])
-DETECTION = np.dtype([("place", "<(3,)f4"), *((name, "<f4") for name in ("velocity", "azimuth", "altitude", "depth"))])
 LABELLED = np.dtype([("place", "<(3,)f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")])
 
 
@@ -356,28 +355,6 @@ def test_samples_that_come_while_memory_is_full_are_dropped_and_counted(
     with open_recording(capture.path) as recording:
         times = np.array([frame.elapsed for frame in recording])
     assert max(np.abs(times - time).min() for time in clouds) < 1e-6
-
-
-def test_a_radar_measures_the_car_ahead(world: carla.World, hero: carla.Vehicle, starting: Starting) -> None:
-    pytest.importorskip("embreex", reason="embreex is not installed")
-    place = hero.get_transform()
-    there = place.location + place.get_forward_vector() * (15.0 + EYE["x"] + HALF)
-    blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
-    car = world.spawn_actor(blueprint, carla.Transform(there, place.rotation))
-    narrow = {"horizontal_fov": 40, "vertical_fov": 2, "points_per_second": 20_000}
-    capture = starting([{"type": "sensor.other.radar", "id": "radar", **EYE, **narrow}])
-    car.set_target_velocity(place.get_forward_vector() * 5.0)
-    world.tick()
-    ahead = car.get_velocity().length()
-    capture.end()
-    found = np.frombuffer(last(capture.path, "radar", "detections", PointCloud).data, DETECTION)
-    rear = found[(np.abs(found["azimuth"]) < 0.05) & (found["depth"] < 17)]
-    assert len(rear) > 10
-    moved = 0.05 * ahead
-    assert rear["depth"].min() == pytest.approx(15.0 + moved, abs=0.1)
-    assert rear["velocity"].max() == pytest.approx(ahead, abs=0.1)
-    np.testing.assert_allclose(rear["place"][:, 0], rear["depth"] * np.cos(rear["azimuth"]), atol=0.05)
-    np.testing.assert_allclose(rear["place"][:, 1], rear["depth"] * np.sin(rear["azimuth"]), atol=0.05)
 
 
 def test_what_sensors_sent_survives_the_process(world: carla.World, starting: Starting, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.presence import RoadHeights
-from carla_recap.model.records import ActorKind, Spawn
+from carla_recap.model.records import ActorKind, Spawn, attributes
 
 M = 100.0  # cm
 KINDS = {
@@ -18,83 +18,47 @@ KINDS = {
 }
 
 
-def actor(id, type_id="vehicle.audi.tt", x=0.0, z=0.0):
-    return ActorLife.of(Spawn(id, KINDS[type_id.split(".")[0]], x * M, 0.0, z * M, type_id=type_id), 0.0)
+def actor(id, type_id="vehicle.audi.tt", x=0.0, z=0.0, role=""):
+    kind = KINDS[type_id.partition(".")[0]]
+    return ActorLife.of(Spawn(id, kind, x * M, 0.0, z * M, type_id=type_id, attributes=attributes(role_name=role)), 0.0)
 
 
-def hero(id):
-    spawn = actor(id).spawn
-    return ActorLife(id, "vehicle.audi.tt", "vehicle", "hero", 0.0, spawn=spawn)
+CARS = [actor(id) for id in range(1, 6)]
+WALKERS = [actor(id, "walker.pedestrian.0001") for id in range(2, 6)]
+LIGHT, HIGH_LIGHT = actor(100, "traffic.traffic_light"), actor(100, "traffic.traffic_light", z=2400)
+HIDDEN = [(0, 0.3), *[(5, -200)] * 4]
 
 
-def light(id, x=0.0, z=0.0):
-    return actor(id, "traffic.traffic_light", x, z)
-
-
-def away(actors, *places):
-    """Return the ids of the actors that are away at each moment, given x and z of all with an id below 100, in m."""
+@pytest.mark.parametrize(
+    ("actors", "places", "away"),
+    [
+        # parked below the ground until it is set on the road
+        ([*CARS[:2], LIGHT], [[(0, 0.3), (20, -499)], [(5, 0.3), (20, -499)], [(10, 0.3), (20, 0.2)]], [[2], [2], []]),
+        # every depth at which ScenarioRunner hides actors
+        *((CARS[:2], [[(0, 0.3), (10, 0.3 - depth)]], [[2]]) for depth in (50, 100, 200, 500)),
+        # a map far above the origin
+        ([*CARS[:2], HIGH_LIGHT], [[(0, 2400), (20, 1901)], [(0, -430), (20, -430)]], [[2], [1, 2]]),
+        # bridges
+        ([*CARS[:3], LIGHT], [[(0, 0), (0, 8), (0, 25)], [(0, 0), (0, 28), (0, 52)]], [[], []]),
+        # a hill, if roads lead to it, or others are on the way to it
+        ([*CARS[:2], LIGHT], [[(0, 0), (400, 100)], [(0, 0), (100, 100)]], [[], [2]]),
+        (CARS, [[(id, 25 * id) for id in range(5)]], [[]]),
+        # lights count more than many hidden actors, else a hero, else most road users
+        ([CARS[0], *WALKERS, LIGHT], [HIDDEN], [[2, 3, 4, 5]]),
+        ([actor(1, role="hero"), *CARS[1:]], [HIDDEN], [[2, 3, 4, 5]]),
+        (CARS[:4], [[(0, 0), (5, 0), (9, 0), (5, 200)]], [[4]]),
+        # a single actor, and a sensor, wherever they are
+        (CARS[:1], [[(0, -499)], [(0, 300)]], [[], []]),
+        ([CARS[0], actor(2, "sensor.camera.rgb"), LIGHT], [[(0, 0), (0, 400)]], [[]]),
+        # unknown places
+        (CARS[:3], [[(0, 0), (np.nan, np.nan), (0, -499)], [(np.nan, np.inf), (np.nan, 0), (0, -1e12)]], [[3], []]),
+    ],
+)
+def test_what_is_far_from_the_height_of_the_roads_is_away(actors, places, away):
+    """Places are x and z of all actors with an id below 100, at each moment, in m."""
     heights, ids = RoadHeights(actors), np.array([each.id for each in actors if each.id < 100])
     rows = np.array([[(x * M, 0.0, z * M, 0.0) for x, z in moment] for moment in places])
-    return [ids[row].tolist() for row in heights.away(ids, rows)]
-
-
-def test_a_car_parked_below_the_ground_is_away_until_it_is_set_on_the_road():
-    actors = [actor(1), actor(2), light(100)]
-    assert away(actors, [(0, 0.3), (20, -499)], [(5, 0.3), (20, -499)], [(10, 0.3), (20, 0.2)]) == [[2], [2], []]
-
-
-@pytest.mark.parametrize("depth", [50, 100, 200, 500])
-def test_every_depth_at_which_scenario_runner_hides_actors_is_away(depth):
-    assert away([actor(1), actor(2)], [(0, 0.3), (10, 0.3 - depth)]) == [[2]]
-
-
-def test_the_height_of_the_map_does_not_matter():
-    actors = [actor(1), actor(2), light(100, z=2400)]
-    assert away(actors, [(0, 2400), (20, 1901)], [(0, -430), (20, -430)]) == [[2], [1, 2]]
-
-
-def test_bridges_are_there():
-    actors = [actor(1), actor(2), actor(3), light(100)]
-    assert away(actors, [(0, 0), (0, 8), (0, 25)], [(0, 0), (0, 28), (0, 52)]) == [[], []]
-
-
-def test_a_hill_is_there_if_roads_lead_to_it():
-    actors = [actor(1), actor(2), light(100)]
-    assert away(actors, [(0, 0), (400, 100)], [(0, 0), (100, 100)]) == [[], [2]]
-
-
-def test_a_hill_is_there_if_others_are_on_the_way_to_it():
-    actors = [actor(id) for id in range(1, 6)]
-    assert away(actors, [(id, 25 * id) for id in range(5)]) == [[]]
-
-
-def test_lights_count_more_than_many_hidden_actors():
-    actors = [actor(1), *(actor(id, "walker.pedestrian.0001") for id in range(2, 6)), light(100)]
-    assert away(actors, [(0, 0.3), *[(5, -200)] * 4]) == [[2, 3, 4, 5]]
-
-
-def test_without_lights_a_hero_counts_more_than_many_hidden_actors():
-    actors = [hero(1), *(actor(id) for id in range(2, 6))]
-    assert away(actors, [(0, 0.3), *[(5, -200)] * 4]) == [[2, 3, 4, 5]]
-
-
-def test_without_lights_and_heroes_most_road_users_count():
-    actors = [actor(id) for id in range(1, 5)]
-    assert away(actors, [(0, 0), (5, 0), (9, 0), (5, 200)]) == [[4]]
-
-
-def test_a_single_actor_is_there_wherever_it_is():
-    assert away([actor(1)], [(0, -499)], [(0, 300)]) == [[], []]
-
-
-def test_a_sensor_may_be_anywhere():
-    actors = [actor(1), actor(2, "sensor.camera.rgb"), light(100)]
-    assert away(actors, [(0, 0), (0, 400)]) == [[]]
-
-
-def test_unknown_places_are_not_away():
-    actors = [actor(1), actor(2), actor(3)]
-    assert away(actors, [(0, 0), (np.nan, np.nan), (0, -499)], [(np.nan, np.inf), (np.nan, 0), (0, -1e12)]) == [[3], []]
+    assert [ids[row].tolist() for row in heights.away(ids, rows)] == away
 
 
 def test_what_has_no_road_users_and_lights_is_there():

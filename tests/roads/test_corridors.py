@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,27 +16,34 @@ from carla_recap.roads.corridors import LANE_WIDTH, fresh_parts
 from carla_recap.roads.opendrive import read_opendrive
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
+    from carla_recap import Recording
     from carla_recap.roads.opendrive import Road
 
 
 @pytest.fixture
-def roads(tmp_path: Path):
-    def roads(*paths: Sequence[tuple[float, float, float]]) -> list[Road]:
-        """Return the roads of vehicles that are at these points in m, right-handed, 0.1 s apart."""
-        path = tmp_path / "driven.mcap"
-        with carla_recap.create_recording(path, map_name="Nowhere", date=0) as recording:
-            for frame in range(max(map(len, paths), default=1)):
-                here = [(id, way[frame]) for id, way in enumerate(paths, 1) if frame < len(way)]
-                poses = [{"id": id, "x": 100 * x, "y": -100 * y, "z": 100 * z} for id, (x, y, z) in here]
-                spawned = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id, _ in here] if frame == 0 else []
-                recording.add_frame(frame / 10, spawned=spawned, transforms=poses)
-        with carla_recap.open_recording(path) as recording:
-            return read_opendrive(opendrive_of_corridors(recording)).roads
+def driven(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Open a recording of vehicles that are at points in m, right-handed, 0.1 s apart."""
+    with ExitStack() as stack:
 
-    return roads
+        def driven(*paths: Sequence[tuple[float, float, float]], map_name: str = "Nowhere") -> Recording:
+            path = tmp_path / "driven.mcap"
+            with carla_recap.create_recording(path, map_name=map_name, date=0) as recording:
+                for frame in range(max(map(len, paths), default=1)):
+                    here = [(id, way[frame]) for id, way in enumerate(paths, 1) if frame < len(way)]
+                    poses = [{"id": id, "x": 100 * x, "y": -100 * y, "z": 100 * z} for id, (x, y, z) in here]
+                    spawned = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id, _ in here] * (not frame)
+                    recording.add_frame(frame / 10, spawned=spawned, transforms=poses)
+            return stack.enter_context(carla_recap.open_recording(path))
+
+        yield driven
+
+
+@pytest.fixture
+def roads(driven: Callable[..., Any]) -> Callable[..., list[Road]]:
+    return lambda *paths: read_opendrive(opendrive_of_corridors(driven(*paths))).roads
 
 
 def straight(length: float = 60.0, y: float = 0.0, z: float = 0.0, slope: float = 0.0) -> list[tuple[float, float, float]]:
@@ -104,14 +112,8 @@ def test_parts_stop_at_the_most_points():
         assert sum(len(part) for part in fresh_parts(paths, 1.5, 250)) == 300
 
 
-def test_a_corridor_map_has_lines_and_surfaces(tmp_path: Path):
-    path = tmp_path / "driven.mcap"
-    with carla_recap.create_recording(path, map_name="Carla/Maps/Nowhere", date=0) as recording:
-        for frame in range(40):
-            spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
-            recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
-    with carla_recap.open_recording(path) as recording:
-        found = corridors_of(recording)
+def test_a_corridor_map_has_lines_and_surfaces(driven):
+    found = corridors_of(driven(straight(), map_name="Carla/Maps/Nowhere"))
     assert found is not None
     assert found.name == "Nowhere"
     assert len(found.centre_lines) == 1
@@ -123,14 +125,8 @@ def test_a_part_of_fewer_points_is_no_road(roads):
     assert len(roads(straight(), straight(y=0.2, length=64.0))) == 1
 
 
-def test_roads_are_of_the_time_that_is_asked_for(tmp_path: Path):
-    path = tmp_path / "driven.mcap"
-    with carla_recap.create_recording(path, map_name="Nowhere", date=0) as recording:
-        for frame in range(400):
-            spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
-            recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
-    with carla_recap.open_recording(path) as recording:
-        (road,) = read_opendrive(corridors_of(recording, 10.0, 20.0).opendrive).roads
+def test_roads_are_of_the_time_that_is_asked_for(driven):
+    (road,) = read_opendrive(corridors_of(driven(straight(600.0)), 10.0, 20.0).opendrive).roads
     course = points(road)
     assert course[:, 0].min() == pytest.approx(150 - 4, abs=2)
     assert course[:, 0].max() == pytest.approx(300 + 4, abs=2)

@@ -56,14 +56,43 @@ def test_a_straight_road_in_right_handed_metres(draw):
     assert town.junctions == town.crossings == town.stop_lines == []
 
 
-def test_a_road_that_turns_left_has_positive_y(draw):
-    town = draw(road(x=10, y=20, heading=math.pi / 2, sections=section(0, right=lane(-1))))
-    assert near(town.centre_lines, [(11.75, 20, 0), (11.75, 120, 0)])
+ONE_LANE, TWO_LANES = section(0, right=lane(-1)), section(0, right=lane(-1) + lane(-2))
+INSIDE = {"x": 100, "length": 20, "junction": 9}
 
 
-def test_successive_roads_are_one_line(draw):
-    town = draw(road(1), road(2, x=100), road(3, x=200))
-    assert near(town.centre_lines, [(0, -1.75, 0), (300, -1.75, 0)], [(300, 1.75, 0), (0, 1.75, 0)])
+@pytest.mark.parametrize(
+    ("roads", "expected"),
+    [
+        ([road(x=10, y=20, heading=math.pi / 2, sections=ONE_LANE)], [[(11.75, 20, 0), (11.75, 120, 0)]]),
+        (
+            [road(1), road(2, x=100), road(3, x=200)],  # successive roads are one line
+            [[(0, -1.75, 0), (300, -1.75, 0)], [(300, 1.75, 0), (0, 1.75, 0)]],
+        ),
+        (
+            [road(sections=TWO_LANES + section(40, right=lane(-1)))],  # a line ends with its lane
+            [[(0, -1.75, 0), (100, -1.75, 0)], [(0, -5.25, 0), (40, -5.25, 0)]],
+        ),
+    ],
+)
+def test_centre_lines(draw, roads, expected):
+    assert near(draw(*roads).centre_lines, *expected)
+
+
+@pytest.mark.parametrize(
+    ("roads", "expected"),
+    [
+        ([road(inside=stop_sign(80, -1, -1), height=2)], [(80, 0, 2), (80, -3.5, 2)]),
+        ([road(sections=TWO_LANES, inside=stop_sign(80, -2, -1))], [(80, 0, 0), (80, -7, 0)]),  # of lanes side by side
+        (
+            [road(1), *(road(n, **INSIDE, inside=stop_sign(s, -1, -1)) for n, s in ((2, 3), (3, 15)))],
+            [(100, 0, 0), (100, -3.5, 0)],  # before the junction in which the signs are
+        ),
+        ([road(2, **INSIDE, inside=stop_sign(3, 1, 1))], [(120, 0, 0), (120, 3.5, 0)]),  # against the road
+        ([road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1))], [(80, -3.25, 0), (80, -0.25, 0)]),
+    ],
+)
+def test_stop_lines(draw, roads, expected):
+    assert near(draw(*roads).stop_lines, expected)
 
 
 def test_a_curve_is_smooth_and_has_few_points(draw):
@@ -81,11 +110,6 @@ def test_shoulders_and_pavements_have_borders_but_no_centre_lines(draw):
     town = draw(road(sections=section(0, right=right)))
     assert len(town.centre_lines) == 1
     assert near(town.lane_borders, *([(0, -y, 0), (100, -y, 0)] for y in (0, 3.5, 4.5, 6.5)))
-
-
-def test_lines_end_with_their_lane(draw):
-    town = draw(road(sections=section(0, right=lane(-1) + lane(-2)) + section(40, right=lane(-1))))
-    assert near(town.centre_lines, [(0, -1.75, 0), (100, -1.75, 0)], [(0, -5.25, 0), (40, -5.25, 0)])
 
 
 def test_the_outline_of_a_junction(draw):
@@ -106,11 +130,6 @@ def test_the_outline_of_a_junction(draw):
     assert not (np.linalg.norm(within[:, :2] - [110, -1.5], axis=1) < 1).any()
 
 
-def test_a_stop_sign_between_junctions(draw):
-    town = draw(road(inside=stop_sign(80, -1, -1), height=2))
-    assert near(town.stop_lines, [(80, 0, 2), (80, -3.5, 2)])
-
-
 def test_the_stop_line_of_a_sign_near_a_junction_is_at_its_border_as_in_the_road_network(draw):
     link = '<link><successor elementType="junction" elementId="9"/></link>'
     town = draw(road(inside=stop_sign(80, -1, -1) + link), road(2, x=100, length=20, junction=9))
@@ -119,33 +138,9 @@ def test_the_stop_line_of_a_sign_near_a_junction_is_at_its_border_as_in_the_road
     assert near(town.stop_lines, [[line[f"{axis}{end}"] for axis in "xyz"] for end in "01"])
 
 
-def test_stop_lines_of_lanes_side_by_side_are_one(draw):
-    town = draw(road(sections=section(0, right=lane(-1) + lane(-2)), inside=stop_sign(80, -2, -1)))
-    assert near(town.stop_lines, [(80, 0, 0), (80, -7, 0)])
-
-
-def test_a_stop_sign_within_a_junction_has_its_line_before_the_junction(draw):
-    town = draw(
-        road(1),
-        road(2, x=100, length=20, junction=9, inside=stop_sign(3, -1, -1)),
-        road(3, x=100, length=20, junction=9, inside=stop_sign(15, -1, -1)),
-    )
-    assert near(town.stop_lines, [(100, 0, 0), (100, -3.5, 0)])
-
-
-def test_lanes_against_the_road_enter_a_junction_at_the_end_of_the_road(draw):
-    town = draw(road(2, x=100, length=20, junction=9, inside=stop_sign(3, 1, 1)))
-    assert near(town.stop_lines, [(120, 0, 0), (120, 3.5, 0)])
-
-
 def test_a_sign_for_a_huge_range_of_lanes_takes_no_time(draw):
     town = draw(road(inside=stop_sign(80, -(2**31), 2**31 - 1)))
     assert len(town.stop_lines) in (1, 2)
-
-
-def test_a_painted_stop_line_is_drawn_unchanged(draw):
-    town = draw(road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1)))
-    assert near(town.stop_lines, [(80, -3.25, 0), (80, -0.25, 0)])
 
 
 def test_a_crossing_is_closed(draw):

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import pickle
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from carla_recap.errors import RecapWarning
 from carla_recap.roads import find_map, load_map, surfaces
 from carla_recap.roads.drawing import draw
 from carla_recap.roads.lanes import TownRoads
@@ -57,12 +55,6 @@ def test_points_are_to_the_left_and_right_of_their_lane_in_driving_direction(roa
     assert np.cos(found.heading) == pytest.approx([1, 1, -1, -1])
 
 
-def test_the_road_ends_at_the_outer_border_of_the_shoulder(roads: RoadNetwork) -> None:
-    found = roads.lanes_at(np.array([(20.0, -4.4), (20.0, -5.0), (20.0, 3.6), (20.0, -14.5), (20.0, -70.0)]))
-    assert found.outside == pytest.approx([0.0, 0.5, 0.1, 10.0, np.inf], abs=1e-3)
-    assert found.on_road.tolist() == [True, False, False, False, False]
-
-
 def test_a_point_beyond_the_reach_of_all_roads_has_no_lane(roads: RoadNetwork) -> None:
     found = roads.lanes_at(np.array([(20.0, -70.0), (np.nan, 0.0), (np.inf, 1e300)]))
     assert found.lane.tolist() == [NONE] * 3
@@ -70,22 +62,11 @@ def test_a_point_beyond_the_reach_of_all_roads_has_no_lane(roads: RoadNetwork) -
     assert np.isinf(found.outside).all()
 
 
-def test_the_lane_of_a_point_beside_it_is_the_nearest_one(roads: RoadNetwork) -> None:
-    found = roads.lanes_at(np.array([(20.0, -4.0), (20.0, 8.5)]))
-    assert roads.lanes["id"][found.lane].tolist() == [-1, 1]
-    assert found.beside == pytest.approx([0.5, 5.0], abs=1e-3)
-
-
 def test_a_lane_may_be_as_wide_as_a_square() -> None:
     square = road_network_of(opendrive(road(sections=section(0, right=lane(-1, 80)))))
     found = square.lanes_at(np.array([(20.0, -70.0), (20.0, -83.0), (20.0, 1.0)]))
     assert found.outside == pytest.approx([0.0, 3.0, 1.0], abs=1e-3)
     assert found.offset[0] == pytest.approx(-30.0)
-
-
-def test_junctions_are_known(roads: RoadNetwork) -> None:
-    found = roads.lanes_at(np.array([(90.0, -1.75), (110.0, -1.75), (130.0, -1.75)]))
-    assert found.in_junction.tolist() == [False, True, False]
 
 
 def test_lights_and_stop_signs_close_their_lanes_at_the_border_of_the_junction(roads: RoadNetwork) -> None:
@@ -111,25 +92,6 @@ def test_left_hand_traffic_is_right_hand_traffic_in_a_mirror(roads: RoadNetwork)
     for end, opposite in (("0", "1"), ("1", "0")):  # the left end is the right one of the mirror
         assert roads.stop_lines[f"x{end}"] == pytest.approx(other.stop_lines[f"x{opposite}"])
         assert roads.stop_lines[f"y{end}"] == pytest.approx(-other.stop_lines[f"y{opposite}"])
-
-
-def test_lanes_above_each_other_are_told_apart_by_height() -> None:
-    high = STRAIGHT_ROAD.replace(
-        "</planView>", '</planView><elevationProfile><elevation s="0" a="8" b="0" c="0" d="0"/></elevationProfile>', 1
-    )
-    roads = build_network(high)
-    found = roads.lanes_at(np.array([(20.0, -1.75, 8.5), (20.0, -1.75, 0.0)]))
-    assert found.on_road.tolist() == [True, False]
-
-
-def test_of_lanes_that_overlap_the_one_in_the_direction_is_preferred() -> None:
-    crossing = STRAIGHT_ROAD.replace(
-        '<geometry s="0" x="100" y="0" hdg="0"', '<geometry s="0" x="50" y="-10" hdg="1.5707963"'
-    )
-    roads = build_network(crossing)
-    points = np.array([(51.0, -1.75), (51.0, -1.75)])
-    found = roads.lanes_at(points, np.array([0.0, np.pi / 2]))
-    assert np.degrees(found.heading) == pytest.approx([0, 90], abs=0.01)
 
 
 def test_a_network_can_be_pickled(roads: RoadNetwork) -> None:
@@ -210,13 +172,3 @@ def test_carla_towns_have_a_stop_line_for_each_light(town: str, lights: int, lin
     assert (roads.signals["kind"] == LIGHT).sum() == lights
     assert len(roads.stop_lines) == lines
     assert set(roads.stop_lines["signal"].tolist()) >= set(np.flatnonzero(roads.signals["kind"] == LIGHT).tolist())
-
-
-def test_many_roads_at_one_point_are_searched_in_bounded_time() -> None:
-    road = STRAIGHT_ROAD[STRAIGHT_ROAD.index("<road") : STRAIGHT_ROAD.index("</road>") + 7]
-    with pytest.warns(RecapWarning, match="of 500 places of signal 11, 200 are looked at"):
-        roads = build_network(f"<OpenDRIVE>{road * 500}</OpenDRIVE>")
-    started = time.process_time()
-    found = roads.lanes_at(np.random.default_rng(0).uniform((0, -40), (100, 40), (5_000, 2)))
-    assert time.process_time() - started < 20
-    assert found.on_road.any()

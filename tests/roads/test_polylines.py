@@ -74,27 +74,20 @@ def test_distance_to_a_line_without_length():
     assert distances_to(line((3, 4)), *line((0, 0), (0, 0))).tolist() == [5]
 
 
-def test_successive_lines_become_one():
-    (joined,) = join([line((2, 0), (3, 0)), line((0, 0), (1, 0)), line((1, 0), (2, 0))])
-    assert joined.tolist() == [[0, 0], [1, 0], [2, 0], [3, 0]]
-
-
-def test_lines_that_fork_stay_apart():
-    assert len(join([line((0, 0), (1, 0)), line((1, 0), (2, 0)), line((1, 0), (2, 1))])) == 3
-
-
-def test_lines_that_begin_at_the_same_point_stay_apart():
-    assert len(join([line((0, 0), (1, 0)), line((0, 0), (-1, 0))])) == 2
-
-
-def test_a_ring_becomes_one_closed_line():
-    (ring,) = join([line((0, 0), (1, 0)), line((1, 0), (1, 1)), line((1, 1), (0, 0))])
-    assert ring.tolist() == [[0, 0], [1, 0], [1, 1], [0, 0]]
-
-
-def test_a_closed_line_is_not_joined_to_itself():
-    closed = line((0, 0), (1, 0), (1, 1), (0, 0))
-    assert [joined.tolist() for joined in join([closed])] == [closed.tolist()]
+@pytest.mark.parametrize(
+    ("lines", "joined"),
+    [
+        ([[(2, 0), (3, 0)], [(0, 0), (1, 0)], [(1, 0), (2, 0)]], [[(0, 0), (1, 0), (2, 0), (3, 0)]]),
+        ([[(0, 0), (1, 0)], [(1, 0), (1, 1)], [(1, 1), (0, 0)]], [[(0, 0), (1, 0), (1, 1), (0, 0)]]),
+        ([[(0, 0), (1, 0)], [(1, 0), (2, 0)], [(1, 0), (2, 1)]], None),  # a fork
+        ([[(0, 0), (1, 0)], [(0, 0), (-1, 0)]], None),  # both begin there
+        ([[(0, 0), (1, 0), (1, 1), (0, 0)]], None),  # closed
+    ],
+)
+def test_successive_lines_become_one_and_others_stay_apart(lines, joined):
+    assert sorted(map(np.ndarray.tolist, join([line(*points) for points in lines]))) == sorted(
+        line(*points).tolist() for points in joined or lines
+    )
 
 
 def test_the_outline_of_a_rectangle():

@@ -4,86 +4,17 @@ import os
 import random
 import subprocess
 import sys
-from functools import cache
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
-import carla_recap
 from carla_recap import RecapError
 from carla_recap.roads import files, load_map
-from tests.roads.towns import lane, opendrive, road, section, town
-from tests.samples import carla_log
+from tests.roads.towns import lane, opendrive, road, section
 from tests.waiting import PATIENCE, time_limit
 
 if TYPE_CHECKING:
-    from carla_recap.roads import RoadMap
-
-TOWNS = ("Town01", "Town02", "Town10HD")
-
-
-@cache
-def carla_map(name: str) -> RoadMap:
-    return load_map(town(name))
-
-
-@pytest.fixture(params=TOWNS)
-def loaded(request) -> RoadMap:
-    return carla_map(request.param)
-
-
-def dense(lines: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Points along lines, a quarter of a metre apart, and the direction at each."""
-    points, headings = [], []
-    for line in lines:
-        for start, stop in pairwise(line):
-            shares = np.linspace(0, 1, int(np.linalg.norm(stop - start) / 0.25) + 2)[:, None]
-            points.append(start + shares * (stop - start))
-            headings.append(np.full(len(shares), np.arctan2(*(stop - start)[1::-1])))
-    return np.concatenate(points), np.concatenate(headings)
-
-
-def nearest(place: np.ndarray, points: np.ndarray) -> int:
-    return int(np.linalg.norm(points[:, :2] - place[:2], axis=1).argmin())
-
-
-# --- CARLA's towns ---------------------------------------------------------------------------------------
-
-
-def test_stop_lines_lie_across_lanes_at_junctions(loaded):
-    centres, headings = dense(loaded.centre_lines)
-    corners = np.concatenate(loaded.junctions)
-    for line in loaded.stop_lines:
-        across = line[-1] - line[0]
-        assert 1.5 < np.linalg.norm(across) < 12
-        at = nearest(line.mean(axis=0), centres)
-        heading = np.array((np.cos(headings[at]), np.sin(headings[at])))
-        assert abs(across[:2] @ heading) / np.linalg.norm(across) < 0.2
-        assert np.linalg.norm(corners - line.mean(axis=0), axis=1).min() < 25
-
-
-@pytest.mark.parametrize("name", ["carla-0.9.13-lane-center.log", "carla-0.9.10-lane-center.log"])
-def test_recorded_cars_drive_on_the_centre_lines(name):
-    points, headings = dense(carla_map("Town01").centre_lines)
-    places, yaws = [], []
-    with carla_recap.open_recording(carla_log(name)) as recording:
-        for actor in recording.actors.values():
-            if actor.kind == "vehicle":
-                trajectory = recording.trajectory(actor.id)
-                places.append(np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)[::10])
-                yaws.append(np.radians(trajectory.yaw)[::10])
-    place, yaw = np.concatenate(places), np.concatenate(yaws)
-    at = [nearest(one, points) for one in place]
-    beside = np.linalg.norm(points[at, :2] - place[:, :2], axis=1)
-    turned = np.abs(np.angle(np.exp(1j * (headings[at] - yaw))))
-    assert np.median(beside) < 0.3
-    assert np.median(turned) < np.radians(5)
-    assert np.median(np.abs(points[at, 2] - place[:, 2])) < 0.5
-
-
-# --- files that are no maps ------------------------------------------------------------------------------
+    pass
 
 SOUND = opendrive(road())
 NOT_MAPS = {

@@ -129,10 +129,11 @@ def test_a_failing_command_does_not_stop_the_others(inside: Inside) -> None:
         [0, ["nonsense"]],
         [0, [[0, "vehicle.nobody.knows", []], HERE, [False], 0, "", []]],
         [0, [[0, "sensor.camera.rgb", []], HERE, [True, 99999], 0, "", []]],
+        [7, [place(inside, "walker.pedestrian.0001", 3).id, STANDING, float("nan")]],
         [18, [car.id, 1]],
     )
     texts = [answer[0][1] for answer in answers]
-    assert [answer[0][0] for answer in answers] == [0] * 8 + [1]
+    assert [answer[0][0] for answer in answers] == [0] * 9 + [1]
     for number, named in (
         (0, "99999"),
         (1, "22"),
@@ -142,7 +143,7 @@ def test_a_failing_command_does_not_stop_the_others(inside: Inside) -> None:
         (7, "99999"),
     ):
         assert named in texts[number][0]
-    assert texts[8] == car.id
+    assert texts[9] == car.id
     assert inside.call("apply_batch", [7, None, [], [[]], [[2]]], False)[0][0][0] == 0
 
 

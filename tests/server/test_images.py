@@ -19,6 +19,7 @@ from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import dispatch, surfaces
 from carla_recap.server.sensors.active_cameras import camera_at
+from carla_recap.server.sensors.drawn_actors import WorldActors
 from carla_recap.server.sensors.images import ImagesUnavailable, blank_images
 from carla_recap.server.sensors.surfaces import TownSurfaces
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
@@ -96,6 +97,13 @@ class Served:
             while self.host.sensors._images.is_busy:
                 await asyncio.sleep(0.005)
 
+    async def draw(self, ticks: int = 1) -> int:
+        """Tick some times, each time waiting until all images have been sent; return the last frame."""
+        for _ in range(ticks):
+            frame = await self.tick()
+            await self.settle()
+        return frame
+
 
 @pytest.fixture
 def painter() -> Painter:
@@ -131,9 +139,7 @@ async def test_without_the_extra_images_are_blank_and_the_log_says_why_once(
 ) -> None:
     painter.missing = MissingExtra("images of cameras", "cameras")
     images = sensor(served.host, f"camera.{camera}", **SMALL)
-    for _ in range(3):
-        await served.tick()
-        await served.settle()
+    await served.draw(3)
     first, *others = images.take()
     assert first[0][0] == number
     assert struct.unpack("<IIf", first[1][:12]) == (32, 16, 70.0)
@@ -176,10 +182,8 @@ async def test_in_asynchronous_mode_images_are_left_out_while_others_are_drawn(s
     served.host.apply_settings(EpisodeSettings())
     often = sensor(served.host, "camera.rgb", **SMALL)
     seldom = sensor(served.host, "camera.depth", **SMALL, sensor_tick="0.15")
-    await served.tick()
-    await served.settle()
-    begin = await served.tick()
-    await served.settle()
+    await served.draw()
+    begin = await served.draw()
     often.take(), seldom.take()
     painter.go.clear()
     for _ in range(4):  # the second camera ticks in one of them
@@ -197,9 +201,7 @@ async def test_cameras_of_one_pose_are_drawn_together(served: Served, painter: P
     same = [sensor(served.host, f"camera.{kind}", car, at(3.0), **SMALL) for kind in ("rgb", "depth", "optical_flow")]
     other = sensor(served.host, "camera.depth", car, at(3.5), **SMALL)
     wide = sensor(served.host, "camera.depth", car, at(3.0), **{**SMALL, "fov": "71"})
-    for _ in range(3):
-        await served.tick()
-        await served.settle()
+    await served.draw(3)
     assert [len(listener.take()) for listener in (*same, other, wide)] == [3] * 5
     kinds = [set(view.kinds) for view in painter.views]
     assert len(kinds) == 9
@@ -217,14 +219,12 @@ async def test_what_has_drawn_large_images_is_closed_with_the_last_camera(
     for _ in range(2):
         sensor(served.host, "camera.depth", car, **size)
     for _ in range(2):
-        await served.tick()
-        await served.settle()
+        await served.draw()
         assert not painter.closed
         car.children[0].destroy()
     await served.tick()
     images = sensor(served.host, "camera.rgb", car, **SMALL)
-    await served.tick()
-    await served.settle()
+    await served.draw()
     assert painter.closed == closed
     assert len(images.take()) == 1
 
@@ -233,12 +233,10 @@ async def test_nothing_is_drawn_without_rendering_and_without_subscribers(served
     served.host.world.spawn("sensor.camera.rgb", Transform(), **SMALL)
     images, blank = (sensor(served.host, f"camera.{kind}", **SMALL) for kind in ("rgb", "cosmos_visualization"))
     served.host.apply_settings(EpisodeSettings(no_rendering_mode=True, synchronous_mode=True, fixed_delta_seconds=0.05))
-    await served.tick()
-    await served.settle()
+    await served.draw()
     assert not painter.views + images.take() + blank.take()
     served.host.apply_settings(SYNCHRONOUS)
-    await served.tick()
-    await served.settle()
+    await served.draw()
     assert (len(painter.views), len(images.take()), len(blank.take())) == (1, 1, 1)
 
 
@@ -247,15 +245,11 @@ async def test_a_view_that_cannot_be_drawn_is_blank_and_others_go_on(
 ) -> None:
     images = sensor(served.host, "camera.rgb", **SMALL)
     painter.errors = [RecapError("the process has ended")]
-    await served.tick()
-    await served.settle()
+    await served.draw()
     painter.errors = [RecapError("no memory")] * 3
-    for _ in range(3):
-        await served.tick()
-        await served.settle()
+    await served.draw(3)
     other = sensor(served.host, "camera.rgb", image_size_x="8", image_size_y="8")
-    await served.tick()
-    await served.settle()
+    await served.draw()
     assert [payload[12] for _, payload in images.take()] == [1, 128, 128, 128, 128]
     assert [payload[12] for _, payload in other.take()] == [2]
     served.host.close()
@@ -274,9 +268,7 @@ async def test_while_nothing_can_be_drawn_no_size_is_given_up_and_the_log_has_a_
 ) -> None:
     images = sensor(served.host, "camera.rgb", **SMALL)
     painter.errors = [ImagesUnavailable("not started again yet")] * 8
-    for _ in range(9):
-        await served.tick()
-        await served.settle()
+    await served.draw(9)
     assert [payload[12] for _, payload in images.take()] == [128] * 8 + [1]
     assert caplog.messages == ["an image of 32 x 16 pixels cannot be drawn: not started again yet", "images are drawn again"]
 
@@ -284,12 +276,9 @@ async def test_while_nothing_can_be_drawn_no_size_is_given_up_and_the_log_has_a_
 async def test_in_a_new_town_sizes_are_tried_again(served: Served, painter: Painter) -> None:
     images = sensor(served.host, "camera.rgb", **SMALL)
     painter.errors = [RecapError("no memory")] * 3
-    for _ in range(3):
-        await served.tick()
-        await served.settle()
+    await served.draw(3)
     served.host.sensors._images.prepare(flat_town().renamed("Other")).result(PATIENCE)
-    await served.tick()
-    await served.settle()
+    await served.draw()
     assert [payload[12] for _, payload in images.take()] == [128, 128, 128, 1]
 
 
@@ -298,8 +287,7 @@ async def test_images_carry_the_field_of_view_that_is_drawn(
     fov: str, drawn: float, served: Served, painter: Painter
 ) -> None:
     images = sensor(served.host, "camera.rgb", **{**SMALL, "fov": fov})
-    await served.tick()
-    await served.settle()
+    await served.draw()
     ((_, payload),) = images.take()
     assert struct.unpack("<IIf", payload[:12]) == (32, 16, pytest.approx(drawn))
     assert painter.views[0].scene.camera.fov == drawn
@@ -321,8 +309,7 @@ async def test_a_camera_inside_its_carrier_does_not_see_it(served: Served, paint
     car = vehicle(served.host)
     sensor(served.host, "camera.rgb", car, at(0.5, z=1.0), **SMALL)
     sensor(served.host, "camera.rgb", car, at(-5.0, z=1.0), **SMALL)
-    await served.tick()
-    await served.settle()
+    await served.draw()
     assert {view.hidden for view in painter.views} == {frozenset((car.id,)), frozenset()}
 
 
@@ -390,3 +377,28 @@ def test_instances_follow_the_actors_of_the_world() -> None:
     car.destroy()
     host.tick()
     assert host.sensors.instances().ids.tolist() == [prop.id, walker.id]
+
+
+def test_a_vehicle_that_is_hidden_below_the_ground_is_not_there() -> None:
+    world = flat_world()
+    hero, hidden = world.spawn("vehicle.tesla.model3", at(0.0), role_name="hero"), world.spawn("vehicle.audi.tt", at(20.0))
+    actors = WorldActors(world)
+    hidden.set_simulate_physics(False)
+    hidden.transform = at(20.0, z=-499.0)
+    world.tick()
+    assert actors.instances().ids.tolist() == [hero.id]
+    hidden.transform = at(20.0)
+    world.tick()
+    assert actors.instances().ids.tolist() == [hero.id, hidden.id]
+
+
+def test_brake_lamps_stay_lit_for_half_a_second() -> None:
+    world = flat_world()
+    car, lit = world.spawn("vehicle.tesla.model3", at(0.0)), []
+    actors = WorldActors(world)
+    for number in range(30):
+        car.apply_control(VehicleControl(brake=0.5 * (number == 0)))
+        world.tick()
+        if int(actors.instances().lamps[0]) >> Material.BRAKE_LIGHT & 1:
+            lit.append(world.elapsed)
+    assert 0.4 < lit[-1] - lit[0] < 0.51

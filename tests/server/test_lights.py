@@ -1,13 +1,17 @@
-"""Calls about traffic lights."""
+"""Calls about traffic lights, and those ahead of vehicles."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import carla
+import numpy as np
 import pytest
 
-from carla_recap.errors import RecapError
+from carla_recap.server.snapshots import NO_LIGHT, LightsAhead
 from tests.server.client import ticks
-from tests.server.inside import Inside
+from tests.sim.flat import LENGTH, flat_town, lane
+from tests.sim.flat import light as signal
 
 RED, YELLOW, GREEN = carla.TrafficLightState.Red, carla.TrafficLightState.Yellow, carla.TrafficLightState.Green
 
@@ -17,11 +21,6 @@ def lights(world: carla.World) -> list[carla.TrafficLight]:
     world.reset_all_traffic_lights()
     world.tick()
     return list(world.get_actors().filter("traffic.traffic_light"))
-
-
-@pytest.fixture
-def inside() -> Inside:
-    return Inside()
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["by the world", "by a light, which the client takes for all"])
@@ -82,11 +81,17 @@ def test_a_trigger_volume_is_where_one_stops(lights: list[carla.TrafficLight]) -
         assert box.location.z > light.get_location().z + 2.0
 
 
-def test_what_no_light_can_show_is_refused(inside: Inside) -> None:
-    light, spectator = inside.world.traffic_lights[0], inside.world.spectator
-    with pytest.raises(RecapError, match="expected 0 to 4, found 9"):
-        inside.call("set_traffic_light_state", light.id, 9)
-    with pytest.raises(RecapError, match="expected 0 s or more"):
-        inside.call("set_traffic_light_green_time", light.id, -1.0)
-    with pytest.raises(RecapError, match="a TrafficLight was expected"):
-        inside.call("get_group_traffic_lights", spectator.id)
+def test_of_two_lights_ahead_the_nearer_one_counts() -> None:
+    near, far = signal(0, (0,)), replace(signal(1, (0,)), stops=((0, 101.0),))  # stop lines at 95 m and 101 m
+    for signals, rows in (([near, far], [0, 1]), ([far, near], [1, 0])):
+        found = LightsAhead(flat_town(signals=signals)).at(np.zeros(5, np.int64), np.array([80.0, 84.0, 90.0, 96.0, 102.0]))
+        assert found.tolist() == [NO_LIGHT, rows[0], rows[0], rows[1], NO_LIGHT]
+
+
+def test_that_holds_on_the_lane_before() -> None:
+    lanes = [replace(lane(), successors=(1,), predecessors=()), replace(lane(1), successors=(), predecessors=(0,))]
+    near, far = replace(signal(0, ()), stops=((1, 3.0),)), replace(signal(1, ()), stops=((1, 7.0),))
+    for signals, rows in (([near, far], [0, 1]), ([far, near], [1, 0])):
+        ahead = LightsAhead(flat_town(lanes=lanes, signals=signals))
+        found = ahead.at(np.array([0, 0, 0, 1, 1]), np.array([LENGTH - 10, LENGTH - 8, LENGTH - 4, 1, 5]))
+        assert found.tolist() == [NO_LIGHT, rows[0], rows[0], rows[0], rows[1]]

@@ -21,6 +21,8 @@ from tests.server.listening import HERE, Listener, sensor, served, vehicle
 from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.sim.episode import Actor
 
@@ -63,48 +65,28 @@ def test_a_feed_ends_with_its_last_subscriber() -> None:
 
 
 @pytest.mark.parametrize(
-    ("interval", "expected"),
-    [("0", 20), ("0.05", 20), ("0.1", 10), ("0.25", 4), ("0.3", 4), ("1.0", 1), ("0.01", 20), ("1e-320", 20), ("x", 20)],
+    ("interval", "delta", "expected"),
+    [
+        *((interval, 0.05, range(20)) for interval in ("0", "0.05", "0.01", "1e-320", "x")),
+        ("0.1", 0.05, range(0, 20, 2)),
+        ("0.25", 0.05, [0, 5, 10, 15]),
+        ("0.3", 0.05, [0, 6, 12, 18]),
+        ("1.0", 0.05, [0]),
+        ("0.1", 1 / 15, [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15, 17, 18]),  # in the mean
+    ],
 )
-def test_sensor_tick_is_the_interval_between_frames(interval: str, expected: int) -> None:
+def test_sensor_tick_is_the_interval_between_frames_from_the_first_tick_of_a_sensor(
+    interval: str, delta: float, expected: Sequence[int]
+) -> None:
     host = served()
+    host.tick(0.07)
     gnss = sensor(host, "other.gnss", sensor_tick=interval)
-    for _ in range(20):
-        host.tick(0.05)
-    assert len(gnss.take()) == expected
-
-
-def test_sensor_tick_counts_from_the_first_tick_of_each_sensor() -> None:
-    host = served()
-    for _ in range(7):
-        host.tick()
-    first = sensor(host, "other.gnss", sensor_tick="0.2")
-    begin = host.tick()
-    second = sensor(host, "other.gnss", sensor_tick="0.2")
-    for _ in range(12):
-        host.tick()
-    assert [header[1] - begin for header, _ in first.take()] == [0, 4, 8, 12]
-    assert [header[1] - begin for header, _ in second.take()] == [1, 5, 9]
-
-
-def test_an_interval_that_is_no_multiple_of_the_tick_has_the_right_mean() -> None:
-    host = served()
-    gnss = sensor(host, "other.gnss", sensor_tick="0.1")
-    frames = [host.tick(1 / 15) for _ in range(30)]
-    ticks = [header[1] - frames[0] for header, _ in gnss.take()]
-    assert ticks == [0, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15, 17, 18, 20, 21, 23, 24, 26, 27, 29]
-
-
-def test_a_client_that_begins_to_listen_late_waits_for_the_next_interval() -> None:
-    host = served()
-    actor = host.world.spawn("sensor.other.gnss", Transform(), sensor_tick="0.5")
-    begin = host.tick()
-    for _ in range(3):
-        host.tick()
-    late = Listener(host, actor)
-    for _ in range(10):
-        host.tick()
-    assert [header[1] - begin for header, _ in late.take()] == [10]
+    begin = host.tick(delta)
+    late = Listener(host, host.world.actors[gnss.id])
+    for _ in range(19):
+        host.tick(delta)
+    assert [header[1] - begin for header, _ in gnss.take()] == list(expected)
+    assert [header[1] - begin for header, _ in late.take()] == list(expected)[1:]
 
 
 def test_a_collision_has_both_actors_and_the_impulse() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-import struct
-
 import carla
 import pytest
 
@@ -78,15 +75,3 @@ def test_a_sensor_can_be_stopped_and_listened_to_again(world: carla.World) -> No
     of_frame(again, world.tick())
     assert gnss.destroy()
     wait_until(lambda: is_silent(world, again))
-
-
-def test_a_subscriber_that_stops_reading_holds_up_no_other(world: carla.World, port: int) -> None:
-    camera = sensor(world, "camera.rgb", vehicle(world), image_size_x="1280", image_size_y="720")
-    images = Data(camera)
-    start(world, images)
-    of_frame(images, world.tick())
-    with socket.create_connection(("127.0.0.1", port + 1)) as stalled:
-        stalled.sendall(struct.pack("<I", (1 << 24) + camera.id))
-        settle()
-        for _ in range(10):
-            of_frame(images, world.tick())

@@ -124,24 +124,6 @@ def test_the_road_tells_the_car_its_limit_and_its_light(world: carla.World) -> N
     assert car.get_failure_state() == carla.VehicleFailureState.NONE
 
 
-def test_unsupported_calls_are_accepted(world: carla.World, car: carla.Vehicle) -> None:
-    car.set_enable_gravity(False)
-    car.show_debug_telemetry(True)
-    car.set_wheel_steer_direction(carla.VehicleWheelLocation.FL_Wheel, 10.0)
-    car.set_wheel_pitch_angle(carla.VehicleWheelLocation.FL_Wheel, 10.0)
-    car.enable_carsim("")
-    car.use_carsim_road(True)
-    car.enable_chrono_physics(1, 0.1, "", "", "", "")
-    car.restore_physx_physics()
-    assert car.get_wheel_pitch_angle(carla.VehicleWheelLocation.FL_Wheel) == 0.0
-    assert (car.get_bone_names(), car.get_component_names(), car.get_socket_names()) == ([], [], [])
-    assert car.get_bone_world_transforms() == car.get_bone_relative_transforms() == []
-    assert car.get_socket_world_transforms() == car.get_socket_relative_transforms() == []
-    assert len(car.get_vehicle_bone_world_transforms()) == 0
-    assert car.get_component_world_transform("x").location.distance(car.get_location()) < 1e-3
-    assert car.get_component_relative_transform("x") == carla.Transform()
-
-
 def test_only_vehicles_are_driven(inside: Inside) -> None:
     spectator = inside.world.spectator.id
     with pytest.raises(RecapError, match=f"actor {spectator} is a spectator; a Vehicle was expected"):

@@ -1,8 +1,7 @@
-"""Calls about the world around the actors, and those that are accepted although there is nothing to be done."""
+"""Calls about episodes and the world around the actors, and those that are accepted although there is nothing to be done."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import carla
@@ -10,8 +9,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.scene.materials import Tag
+from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
-from tests.server.client import spawn
+from tests.server.client import FAR, place, spawn
 from tests.server.inside import Inside
 from tests.sim.flat import at
 from tests.sim.two_levels import BRIDGE, two_levels
@@ -32,6 +32,8 @@ def test_rays_and_projections_meet_their_level(tmp_path: Path) -> None:
     assert inside.call("cast_ray", [0.0, 1.75, 12.0], [0.0, 1.75, 20.0]) == []
     _, (location, _) = inside.call("project_point", [20.0, 1.75, 3.0], [0.0, 0.0, -1.0], 10.0)
     assert location[2] == pytest.approx(0.0, abs=0.02)
+    with pytest.raises(RecapError, match="expected a direction"):
+        inside.call("project_point", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
 
 
 def test_places_are_projected(world: carla.World) -> None:
@@ -74,25 +76,75 @@ def test_unsupported_calls_are_accepted(world: carla.World) -> None:
     lights.turn_on([])
     lights.set_day_night_cycle(False)
     world.set_annotations_traverse_translucency(True)
-    assert world.tick() > 0
-
-
-def test_sensors_take_what_concerns_pictures(world: carla.World) -> None:
-    car = spawn(world)
-    camera = world.spawn_actor(world.get_blueprint_library().find("sensor.camera.rgb"), carla.Transform(), attach_to=car)
+    car, walker = spawn(world), spawn(world, "walker.pedestrian.0001", FAR)
+    camera = place(world, "sensor.camera.rgb", carla.Transform(), car)
     world.tick()
     camera.enable_for_ros()
     assert camera.is_enabled_for_ros() is False
     camera.disable_for_ros()
     camera.set_ignored_vehicles([car.id])
+    assert walker.get_bones().bone_transforms == []
+    walker.set_bones(carla.WalkerBoneControlIn([("crl_hand__R", carla.Transform())]))
+    walker.blend_pose(0.5)
+    walker.show_pose()
+    walker.hide_pose()
+    walker.get_pose_from_animation()
+    car.set_enable_gravity(False)
+    car.show_debug_telemetry(True)
+    car.set_wheel_steer_direction(carla.VehicleWheelLocation.FL_Wheel, 10.0)
+    car.set_wheel_pitch_angle(carla.VehicleWheelLocation.FL_Wheel, 10.0)
+    car.enable_carsim("")
+    car.use_carsim_road(True)
+    car.enable_chrono_physics(1, 0.1, "", "", "", "")
+    car.restore_physx_physics()
+    assert car.get_wheel_pitch_angle(carla.VehicleWheelLocation.FL_Wheel) == 0.0
+    assert (car.get_bone_names(), car.get_component_names(), car.get_socket_names()) == ([], [], [])
+    assert car.get_bone_world_transforms() == car.get_bone_relative_transforms() == []
+    assert car.get_socket_world_transforms() == car.get_socket_relative_transforms() == []
+    assert len(car.get_vehicle_bone_world_transforms()) == 0
+    assert car.get_component_world_transform("x").location.distance(car.get_location()) < 1e-3
+    assert car.get_component_relative_transform("x") == carla.Transform()
+    assert world.tick() > 0
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, 3e38])
-def test_places_are_numbers(bad: float) -> None:
-    inside = Inside()
-    with pytest.raises(RecapError, match=r"finite|at most"):
-        inside.call("cast_ray", [0.0, 0.0, 0.0], [bad, 0.0, 0.0])
-    with pytest.raises(RecapError, match=r"finite|at most"):
-        inside.call("project_point", [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], bad)
-    with pytest.raises(RecapError, match="expected a direction"):
-        inside.call("project_point", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0)
+TEXT = load_town().opendrive
+
+
+def test_files_are_not_read_by_their_paths(client: carla.Client, tmp_path: Path) -> None:
+    (tmp_path / "secret.xodr").write_text(TEXT)
+    with pytest.raises(RuntimeError, match="there is no such map"):
+        client.load_world(str(tmp_path / "secret.xodr"))
+
+
+def test_a_new_episode_has_no_actors_of_the_last_one_and_never_their_ids(client: carla.Client, world: carla.World) -> None:
+    blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
+    point = world.get_map().get_spawn_points()[0]
+    before = world.spawn_actor(blueprint, point).id
+    frame = world.tick()
+    world = client.reload_world(reset_settings=False)
+    assert world.tick() > frame
+    assert not world.get_actors().filter("vehicle.*")
+    assert world.spawn_actor(blueprint, point).id > before
+
+
+@pytest.mark.parametrize("reset", [True, False])
+def test_settings_are_reset_on_request(client: carla.Client, reset: bool) -> None:
+    settings = client.reload_world(reset_settings=reset).get_settings()
+    assert settings.synchronous_mode is not reset
+    assert settings.fixed_delta_seconds == (None if reset else pytest.approx(0.05))
+
+
+def test_a_map_that_a_client_sends_is_loaded(client: carla.Client) -> None:
+    world = client.generate_opendrive_world(TEXT)
+    assert world.get_map().name.endswith("OpenDriveMap")
+    topology = {(entry.road_id, entry.lane_id) for entry, _ in world.get_map().get_topology()}
+    assert len(world.get_map().get_spawn_points()) == len(topology)
+    world = client.reload_world()
+    assert world.get_map().name.endswith("OpenDriveMap")
+    client.load_world("Brickfield")
+
+
+def test_what_is_no_map_is_refused(client: carla.Client, world: carla.World) -> None:
+    with pytest.raises(RuntimeError, match="OpenDriveMap"):
+        client.generate_opendrive_world("<OpenDRIVE>nothing here")
+    world.tick()

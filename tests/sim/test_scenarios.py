@@ -10,7 +10,7 @@ import pytest
 import carla_recap
 from carla_recap.scene.lamps import LEFT_BLINKER, RIGHT_BLINKER
 from carla_recap.sim import Location, World, load_town
-from carla_recap.sim.errors import SimError, SpawnError
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.scenarios import BREAKDOWN, START, Blockage, Crash, largest_junction, straight_section
 from tests.roads.towns import town as map_of
 from tests.sim.flat import flat_town
@@ -128,13 +128,6 @@ def test_a_town_without_a_straight_street_is_an_error(town):
     straight_section(town, longest)
     with pytest.raises(SimError):
         straight_section(town, longest + 1)
-
-
-def test_a_scenario_cannot_be_set_up_twice(town):
-    world = World(town, date=0)
-    Crash(world)
-    with pytest.raises(SpawnError, match="cannot be spawned"):
-        Crash(world)
 
 
 def test_the_largest_junction_is_one_with_lights(town):

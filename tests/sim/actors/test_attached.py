@@ -81,16 +81,6 @@ def test_the_transform_is_set_relative_to_the_parent() -> None:
     assert walker.transform.location.distance(parent.transform.transform(Location(-2.0, 0.0, 4.0))) < 1e-6
 
 
-def test_an_attached_actor_can_be_destroyed_before_its_parent() -> None:
-    world = flat_world()
-    parent = truck(world)
-    trailer = world.spawn("vehicle.mini.cooper_s", at(-9.0), parent=parent)
-    trailer.destroy()
-    world.run(1)
-    assert parent.is_alive
-    assert parent.children == []
-
-
 def test_the_autopilot_of_a_parent_ignores_attached_actors() -> None:
     world = flat_world()
     parent = truck(world, 10.0)

@@ -38,7 +38,7 @@ from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car, spawn_walker
 from tests.sim.recordings import disk_of, frames, record, run_until_it_fails, writer_pid
-from tests.waiting import PATIENCE, time_limit, wait_until
+from tests.waiting import PATIENCE, is_running, time_limit, wait_until
 
 if TYPE_CHECKING:
     from carla_recap.model.frame import Frame
@@ -84,15 +84,16 @@ def test_packets_stand_in_the_order_of_carla(
     assert [packet.id for packet in found[1].packets] == later
 
 
-def test_frames_count_from_1_and_time_from_0_and_the_last_one_has_no_duration(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_frames_count_from_1_and_time_from_0_and_the_last_one_has_no_duration(tmp_path: Path, suffix: str) -> None:
     world = flat_world()
     world.run(1.0)
-    world.recorder.start(tmp_path / "a.mcap", True, in_process=True)
-    deltas = (0.05, 0.1, 0.007, 0.3)
+    world.recorder.start(tmp_path / f"a{suffix}", True, in_process=True)
+    deltas = (0.05, 0.1, np.float32(0.25), 0.3)
     for delta in deltas:
-        world.tick(delta)
+        world.tick(delta)  # type: ignore[arg-type]
     world.close()
-    found = frames(tmp_path / "a.mcap")
+    found = frames(tmp_path / f"a{suffix}")
     assert [frame.id for frame in found] == [1, 2, 3, 4]
     assert [frame.duration for frame in found] == [*deltas[1:], -1]
     assert found[0].elapsed == 0
@@ -100,16 +101,6 @@ def test_frames_count_from_1_and_time_from_0_and_the_last_one_has_no_duration(tm
         assert frame.elapsed + frame.duration == following.elapsed
     assert [frame["platform_time"]["seconds"][0] for frame in found] == [frame.elapsed for frame in found]
     assert found[0]["visual_time"]["seconds"][0] == pytest.approx(1.05)
-
-
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_ticks_may_have_lengths_of_numpy(tmp_path: Path, suffix: str) -> None:
-    with flat_world() as world:
-        path = world.recorder.start(tmp_path / f"x{suffix}", in_process=True)
-        for _ in range(4):
-            world.tick(np.float32(0.25))  # type: ignore[arg-type]
-    with carla_recap.open_recording(path) as recording:
-        assert [frame.elapsed for frame in recording] == [0.0, 0.25, 0.5, 0.75]
 
 
 def test_the_first_frame_has_all_actors(tmp_path: Path) -> None:
@@ -462,35 +453,24 @@ def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_starting_again_completes_the_first(tmp_path: Path) -> None:
+def test_another_recording_a_new_episode_and_the_end_of_the_world_complete_it(tmp_path: Path) -> None:
     world = flat_world()
-    for name, ticks in (("a.log", 2), ("b.log", 3)):
+
+    def begin(world: World, name: str, ticks: int) -> None:
         world.start_recorder(tmp_path / name)
         for _ in range(ticks):
             world.tick()
+
+    begin(world, "a.log", 2)
+    begin(world, "b.log", 3)
     assert len(frames(tmp_path / "a.log")) == 2
-    world.start_recorder(tmp_path / "b.log")
-    world.tick()
-    world.close()
-    assert len(frames(tmp_path / "b.log")) == 1
-
-
-def test_a_new_episode_completes_the_recording_and_can_be_recorded(tmp_path: Path) -> None:
-    world = flat_world()
-    world.start_recorder(tmp_path / "a.log")
-    world.tick()
+    begin(world, "b.log", 1)
     world.reload()
-    assert len(frames(tmp_path / "a.log")) == 1
-    assert len(record(world, tmp_path / "b.log", 2)) == 2
-
-
-def test_a_forgotten_world_completes_the_recording(tmp_path: Path) -> None:
-    world = flat_world()
-    world.start_recorder(tmp_path / "a.mcap")
-    world.tick()
+    assert len(frames(tmp_path / "b.log")) == 1
+    begin(world, "c.mcap", 2)
     del world
     gc.collect()
-    assert len(frames(tmp_path / "a.mcap")) == 1
+    assert len(frames(tmp_path / "c.mcap")) == 2
 
 
 _SCRIPT = """
@@ -585,39 +565,6 @@ def test_a_writer_that_is_killed_does_not_end_a_command(tmp_path: Path) -> None:
     assert "the process that writes it has ended with exit code -9" in done.stderr
 
 
-def test_what_else_is_printed_when_an_interpreter_starts_is_passed_over(tmp_path: Path) -> None:
-    (tmp_path / "site").mkdir()
-    (tmp_path / "site" / "sitecustomize.py").write_text("print('hello')")
-    path, paths = tmp_path / "a.log", os.pathsep.join([str(tmp_path / "site"), str(Path.cwd())])
-    environment = {**os.environ, "PYTHONPATH": paths}
-    subprocess.run(command(_SCRIPT, path), env=environment, check=True, timeout=PATIENCE, stdout=subprocess.DEVNULL)
-    assert len(frames(path)) == 240
-
-
-def test_forked_processes_that_go_on_delay_no_recording(tmp_path: Path) -> None:
-    script = """
-        import os, signal, sys, time
-        from pathlib import Path
-        from tests.sim.flat import flat_world
-        folder = Path(sys.argv[1])
-        with flat_world() as world, flat_world() as other:
-            world.start_recorder(folder / "a.mcap")
-            other.start_recorder(folder / "b.mcap")
-            for recorded in (world, other):
-                recorded.run(1.0)
-            if not (child := os.fork()):
-                time.sleep(300)
-                os._exit(0)
-        print(child, flush=True)
-    """
-    with subprocess.Popen(command(script, tmp_path), stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        child = int(process.stdout.readline())
-        assert process.wait(PATIENCE) == 0
-        os.kill(child, signal.SIGKILL)
-    assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 20}
-
-
 def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_ones_go_on(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     end = """
@@ -638,19 +585,6 @@ def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_
     assert [frame.id for frame in found] == list(range(1, len(found) + 1))
 
 
-def test_each_recording_has_a_process_that_ends_with_it(tmp_path: Path) -> None:
-    with flat_world() as world, flat_world() as other:
-        for count, recorded in enumerate((world, other), 3):
-            recorded.start_recorder(tmp_path / f"{count}.mcap")
-            recorded.run(0.05 * count)
-        ids = {writer_pid(world), writer_pid(other)}
-        assert len(ids) == 2
-    for id in ids:
-        with pytest.raises(ProcessLookupError):
-            os.kill(id, 0)
-    assert [len(frames(tmp_path / f"{count}.mcap")) for count in (3, 4)] == [3, 4]
-
-
 def test_each_recording_has_the_umask_of_its_start(tmp_path: Path) -> None:
     before = os.umask(0o022)
     try:
@@ -663,12 +597,47 @@ def test_each_recording_has_the_umask_of_its_start(tmp_path: Path) -> None:
 
 
 def test_a_script_without_a_guard_that_ends_completes_its_recording(tmp_path: Path) -> None:
+    """What else is printed when an interpreter starts is passed over."""
     script, path = tmp_path / "script.py", tmp_path / "a.mcap"
     script.write_text(textwrap.dedent(_SCRIPT) + "print('once')\n")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*filter(None, sys.path), str(Path.cwd())])}
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "sitecustomize.py").write_text("print('hello')")
+    paths = [str(tmp_path / "site"), *filter(None, sys.path), str(Path.cwd())]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run([sys.executable, script, path], env=environment, capture_output=True, text=True, timeout=PATIENCE)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "once\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "hello\nonce\n", "")
     assert len(frames(path)) == 240
+
+
+def test_forked_processes_record_too_and_delay_no_recording(tmp_path: Path) -> None:
+    script = """
+        import os, signal, sys, time
+        from pathlib import Path
+        from tests.sim.flat import flat_world
+        folder = Path(sys.argv[1])
+        with flat_world() as world, flat_world() as other:
+            for name, recorded in (("a", world), ("b", other)):
+                recorded.start_recorder(folder / f"{name}.mcap")
+                recorded.run(1.0)
+            assert world.recorder._writer.pid != other.recorder._writer.pid
+            print(world.recorder._writer.pid, flush=True)
+            if not (child := os.fork()):
+                with flat_world() as third:
+                    third.start_recorder(folder / "c.mcap")
+                    third.run(3.0)
+                print("recorded", flush=True)
+                time.sleep(300)
+                os._exit(0)
+        print(child, flush=True)
+    """
+    with subprocess.Popen(command(script, tmp_path), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        writer, *said = (process.stdout.readline() for _ in range(3))
+        assert process.wait(PATIENCE) == 0
+        assert not is_running(int(writer))
+        os.kill(next(int(line) for line in said if line.strip().isdigit()), signal.SIGKILL)
+    found = {path.name: len(frames(path)) for path in tmp_path.iterdir()}
+    assert found == {"a.mcap": 20, "b.mcap": 20, "c.mcap": 60}
 
 
 def test_a_collision_of_a_replay_is_recorded_once_and_one_of_physics_with_the_tick_after(tmp_path: Path) -> None:
@@ -745,26 +714,6 @@ def test_a_full_disk_ends_the_recording_and_not_the_simulation(tmp_path: Path) -
     assert world.recorder.error is None
 
 
-def test_processes_that_are_forked_have_their_own(tmp_path: Path) -> None:
-    script = """
-        import os, sys
-        from pathlib import Path
-        from tests.sim.flat import flat_world
-        folder = Path(sys.argv[1])
-        with flat_world() as world:
-            world.start_recorder(folder / "a.mcap")
-            world.run(1.0)
-        child = os.fork()
-        with flat_world() as world:
-            world.start_recorder(folder / ("b.mcap" if child else "c.mcap"))
-            world.run(2.0 if child else 3.0)
-        if child:
-            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    """
-    subprocess.run(command(script, tmp_path), check=True, timeout=PATIENCE)
-    assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 40, "c.mcap": 60}
-
-
 def test_what_cannot_be_handed_over_ends_the_recording(tmp_path: Path) -> None:
     world, path = flat_world(), tmp_path / "a.mcap"
     world.start_recorder(path)
@@ -801,13 +750,21 @@ def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path) -> None:
     assert len(frames(tmp_path / "a.mcap")) == 220
 
 
-def test_what_appeared_meanwhile_stays_if_it_must(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("in_process", "has_links"), [(False, True), (True, False)])
+def test_what_appeared_meanwhile_stays_if_it_must(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_process: bool, has_links: bool
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    if not has_links:
+        monkeypatch.setattr(os, "link", refuse)  # as on FAT
     world = flat_world()
-    free = world.start_recorder(tmp_path / "free.mcap", force=False)
+    free = world.recorder.start(tmp_path / "free.mcap", force=False, in_process=in_process)
     world.stop_recorder()
     assert list(tmp_path.iterdir()) == [free]
     free.unlink()
-    path = world.start_recorder(tmp_path / "a.mcap", force=False)
+    path = world.recorder.start(tmp_path / "a.mcap", force=False, in_process=in_process)
     world.run(1.0)
     path.write_text("mine")
     with pytest.warns(RecapWarning, match=r"File exists; what was recorded until then is in .*\.partial"):
