@@ -53,8 +53,9 @@ class Capture:
 
 @contextmanager
 def started(path: Path, port: int, *options: str, before: str = "") -> Iterator[Capture]:
-    """Start a capture, in whose process a statement is executed before it."""
-    command = [COMMAND, "capture", path, "--port", str(port), *options]
+    """Start a capture, or a live view if the path is of an .rrd, in whose process a statement is executed before it."""
+    arguments = ["watch", "--to", path] if path.suffix == ".rrd" else ["capture", path]
+    command = [COMMAND, *arguments, "--port", str(port), *options]
     if before:
         code = f"{before}; from carla_recap.cli import main; main()"
         command = [sys.executable, "-c", code, *command[1:]]

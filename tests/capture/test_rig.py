@@ -27,7 +27,7 @@ from tests.samples import warnings_ignored
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
     from tests.capture.conftest import Capture
@@ -71,22 +71,18 @@ def hero(world: carla.World) -> carla.Vehicle:
 
 
 @pytest.fixture
-def starting(port: int, world: carla.World, hero: carla.Vehicle, tmp_path: Path) -> Iterator[Starting]:
+def starting(capturing: Callable[..., Capture], world: carla.World, hero: carla.Vehicle, tmp_path: Path) -> Starting:
     """Start a capture of a world with a hero, and wait until it listens to all sensors of a rig."""
-    running = []
 
-    def begin(rig: list[dict[str, Any]], *options: str) -> Capture:
+    def begin(rig: list[dict[str, Any]]) -> Capture:
         (tmp_path / "rig.json").write_text(json.dumps(rig))
-        running.append(started(tmp_path / "a.mcap", port, "--rig", str(tmp_path / "rig.json"), *options))
-        capture = running[-1].__enter__()
+        capture = capturing("a.mcap", "--rig", str(tmp_path / "rig.json"))
         actors = sum(sensor["type"] != "sensor.speedometer" for sensor in rig)
-        wait_for(world, lambda: len(own_sensors(world)) == actors + 1 or capture.process.poll() is not None)
+        wait_for(world, lambda: len(own_sensors(world)) == actors + 1)
         settle(capture.process)
         return capture
 
-    yield begin
-    for each in running:
-        each.__exit__(None, None, None)
+    return begin
 
 
 def messages(path: Path, id: str, topic: str, kind: Any) -> dict[float, Any]:

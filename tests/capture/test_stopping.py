@@ -19,8 +19,7 @@ from carla_recap.capture.live import watch
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.server import running as server
 from carla_recap.util.files import partials
-from tests.capture.conftest import settle, wait_for
-from tests.cli.command import COMMAND, ENVIRONMENT
+from tests.capture.conftest import settle, started, wait_for
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
@@ -34,14 +33,9 @@ GHOST, SOUND = 500, 501
 @contextmanager
 def running(path: Path, port: int) -> Iterator[subprocess.Popen[str]]:
     """What records a server to a path, or shows it there, once it writes."""
-    arguments = ["watch", "--to", path] if path.suffix == ".rrd" else ["capture", path]
-    command = [COMMAND, *arguments, "--port", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=ENVIRONMENT) as process:
-        try:
-            wait_until(lambda: partials(path))
-            yield process
-        finally:
-            process.kill()
+    with started(path, port) as capture:
+        wait_until(lambda: partials(path))
+        yield capture.process
 
 
 @pytest.mark.parametrize(("name", "gap"), [("a.mcap", 0.001), ("a.rrd", 0.05)])

@@ -65,19 +65,15 @@ def test_the_usual_arguments_start_a_server_for_clients_until_it_is_terminated()
     assert refuses_connections(port)
 
 
-def test_ports_are_those_of_the_arguments_and_a_missing_map_is_replaced() -> None:
+def test_ports_are_those_of_the_arguments_a_missing_map_is_replaced_and_an_interrupt_ends_the_server() -> None:
     calls, streams = free_port(), free_port()
     arguments = (f"-carla-rpc-port={calls}", f"-carla-streaming-port={streams}")
-    with launched("/Game/Carla/Maps/Town77", *arguments) as (_, port):
+    with launched("/Game/Carla/Maps/Town77", *arguments) as (process, port):
         assert port == calls
         world = connect(calls).get_world()
         assert world.wait_for_tick(PATIENCE).frame > 0
         assert world.get_map().name.endswith("Town77")
         socket.create_connection(("127.0.0.1", streams)).close()
-
-
-def test_an_interrupt_of_the_launcher_ends_the_server() -> None:
-    with launched("-carla-rpc-port=0") as (process, port):
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
         assert refuses_connections(port)

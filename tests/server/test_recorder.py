@@ -178,10 +178,13 @@ def test_the_answers_are_those_of_carla(client: carla.Client, name: str) -> None
 
 
 def test_what_is_no_recording_has_carlas_texts(client: carla.Client, recordings: Path) -> None:
-    for ask in queries_of("absent.log"):
-        assert ask(client) == f"File {recordings / 'absent.log'} not found on server\n"
-    for ask in queries_of("text"):
-        assert ask(client) == "File is not a CARLA recorder\n"
+    for name, found, text in (
+        ("absent.log", "absent.log", f"File {recordings / 'absent.log'} not found on server\n"),
+        ("text", "text.log", "File is not a CARLA recorder\n"),
+    ):
+        for ask in queries_of(name):
+            assert ask(client) == text
+        assert client.replay_file(name, 0.0, 0.0, 0) == f"Replaying File: {recordings / found}\n{text}"
     for ask in queries_of("long" * 100):
         with pytest.raises(RuntimeError, match=r"cannot be read: .*File name too long"):
             ask(client)
@@ -276,13 +279,6 @@ def test_a_replay_is_told_as_by_carla(client: carla.Client, recordings: Path, na
         f"Replaying from 0.95 s - 10.95 s ({total} s) at 2.5x\n"
         "Ignoring Hero vehicle\n"
     )
-
-
-def test_what_cannot_be_replayed_has_carlas_texts(client: carla.Client, recordings: Path) -> None:
-    path = recordings / "absent.log"
-    assert client.replay_file("absent.log", 0.0, 0.0, 0) == f"Replaying File: {path}\nFile {path} not found on server\n"
-    path = recordings / "text.log"
-    assert client.replay_file("text", 0.0, 0.0, 0) == f"Replaying File: {path}\nFile is not a CARLA recorder\n"
 
 
 def test_a_recording_of_an_unknown_map_replays_on_its_corridors(client: carla.Client, world: carla.World) -> None:
@@ -412,10 +408,13 @@ def test_the_options_of_older_and_newer_clients_are_accepted(recordings: Path, o
     assert inside.world.weather.cloudiness == (77.0 if options[:2] == (False, False) else 0.0)
 
 
-def test_a_newer_client_can_name_the_map_of_a_replay(recordings: Path) -> None:
+def test_a_newer_client_can_name_the_map_of_a_replay_and_other_options_are_errors(recordings: Path) -> None:
     inside = Inside()
     answer = inside.call("replay_file", str(recordings / "nowhere.log"), 0.0, 0.0, 0, False, True, OFFSET, "Brickfield")
     assert "Total time recorded: 0\n" in answer
+    for options in ((1,), ("Brickfield", "Brickfield"), (True, True, True), ({},), (OFFSET, OFFSET)):
+        with pytest.raises(RecapError, match="replay_file"):
+            inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0, *options)
 
 
 def test_the_layered_variant_of_the_present_map_is_the_present_map(recordings: Path) -> None:
@@ -424,12 +423,6 @@ def test_the_layered_variant_of_the_present_map_is_the_present_map(recordings: P
     assert "Loading map" not in asyncio.run(CALLS["replay_file"](client_inside(host), replay))
     assert host.world.episode.number == 1
     host.close()
-
-
-def test_options_of_other_types_are_errors(recordings: Path) -> None:
-    for options in ((1,), ("Brickfield", "Brickfield"), (True, True, True), ({},), (OFFSET, OFFSET)):
-        with pytest.raises(RecapError, match="replay_file"):
-            Inside().call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0, *options)
 
 
 def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(recordings: Path, tmp_path: Path) -> None:

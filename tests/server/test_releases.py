@@ -32,7 +32,7 @@ from tests.server.inside import Inside
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    pass
 
 SCRIPT = Path(__file__).with_name("releases_script.py")
 BY_NAME = {release.name: release for release in RELEASES}
@@ -73,33 +73,21 @@ def output_of(release: str, *arguments: object) -> str:
 # --- real clients ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("recordings")
-
-
-@pytest.fixture(scope="module")
-def server(folder: Path) -> Iterator[int]:
-    """A server for clients of all releases."""
-    with running(recordings=folder) as port:
-        yield port
-
-
 @pytest.mark.parametrize("release", ABSENT)
-def test_every_step_of_a_script_passes_with_a_client(server: int, release: str, tmp_path: Path) -> None:
-    results = json.loads(output_of(release, SCRIPT, server, tmp_path, free_port()))
+def test_every_step_of_a_script_passes_with_a_client(port: int, release: str, tmp_path: Path) -> None:
+    results = json.loads(output_of(release, SCRIPT, port, tmp_path, free_port()))
     assert results.pop("release") == release
     assert {step: result for step, result in results.items() if result != "passed" and step not in ABSENT[release]} == {}
     assert {step for step, result in results.items() if result.startswith("absent")} == ABSENT[release]
 
 
 @pytest.mark.parametrize("release", OTHERS)
-def test_the_sample_scripts_run_with_a_client(server: int, folder: Path, release: str) -> None:
+def test_the_sample_scripts_run_with_a_client(port: int, recordings: Path, release: str) -> None:
     name, samples = f"{release}.log", ROOT / "samples"
-    carla.Client("127.0.0.1", server).reload_world()  # without the actors of a replay that has ended meanwhile
+    carla.Client("127.0.0.1", port).reload_world()  # without the actors of a replay that has ended meanwhile
 
     def output(script: str, *arguments: object) -> str:
-        return output_of(release, samples / f"{script}.py", f"--port={server}", f"-f={name}", *arguments)
+        return output_of(release, samples / f"{script}.py", f"--port={port}", f"-f={name}", *arguments)
 
     assert "Stopped recording, destroyed 3" in output("start_recording", "-n=3", "-t=2", f"--tm-port={free_port()}")
     created = re.findall(r"Create \d+: (vehicle\.\S+)", output("show_recorder_file_info"))
@@ -108,20 +96,20 @@ def test_the_sample_scripts_run_with_a_client(server: int, folder: Path, release
     assert "Duration" in output("show_recorder_collisions", "-t=aa")
     assert "Duration" in output("show_recorder_actors_blocked")
     assert "Replaying File" in output("start_replaying", "-d=1")
-    with open_recording(folder / name) as recording:
+    with open_recording(recordings / name) as recording:
         assert recording.info.frames > 10
 
 
 @pytest.mark.parametrize("release", OTHERS)
-def test_a_client_captures_the_world_of_a_server(server: int, release: str, tmp_path: Path) -> None:
+def test_a_client_captures_the_world_of_a_server(port: int, release: str, tmp_path: Path) -> None:
     python_of(release)
-    client = carla.Client("127.0.0.1", server)
+    client = carla.Client("127.0.0.1", port)
     client.set_timeout(PATIENCE)
     world = client.get_world()
     blueprint = world.get_blueprint_library().find(CAR)
     blueprint.set_attribute("role_name", "hero")
     car = world.spawn_actor(blueprint, world.get_map().get_spawn_points()[0])
-    output_of(release, "-m", "carla_recap", "capture", tmp_path / "a.mcap", f"--port={server}", "--duration=1")
+    output_of(release, "-m", "carla_recap", "capture", tmp_path / "a.mcap", f"--port={port}", "--duration=1")
     assert car.destroy()
     with open_recording(tmp_path / "a.mcap") as recording:
         hero = recording.actors[car.id]

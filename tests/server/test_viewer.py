@@ -100,14 +100,12 @@ def test_what_it_cannot_be_written_to(tmp_path: Path) -> None:
             ViewerProcess(to)
 
 
-def test_without_rerun_it_says_so() -> None:
-    code = "import sys; sys.modules['rerun'] = None; from carla_recap.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, "serve", "--rerun"], capture_output=True, text=True, timeout=PATIENCE)
+@pytest.mark.parametrize(
+    ("module", "options", "extra"), [("rerun", ("--rerun",), "rerun"), ("pymunk", (), "server")], ids=["rerun", "physics"]
+)
+def test_without_what_it_needs_it_says_so(module: str, options: tuple[str, ...], extra: str) -> None:
+    code = f"import sys; sys.modules[{module!r}] = None; from carla_recap.cli import main; main()"
+    command = [sys.executable, "-c", code, "serve", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "pip install '.[rerun]'" in done.stderr
-
-
-def test_without_physics_it_asks_for_the_server() -> None:
-    code = "import sys; sys.modules['pymunk'] = None; from carla_recap.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code, "serve"], capture_output=True, text=True, timeout=PATIENCE)
-    assert done.stderr.startswith("carla-recap: carla-recap serve needs an optional dependency: pip install '.[server]'")
+    assert f"pip install '.[{extra}]'" in done.stderr

@@ -160,11 +160,13 @@ def test_signs_and_lights_of_the_town_are_actors() -> None:
 
 
 @pytest.mark.parametrize("number", [float("nan"), 1e39])
-def test_infinite_numbers_and_nan_are_errors(number: float) -> None:
+def test_what_is_no_value_is_an_error_and_changes_nothing(number: float) -> None:
     world = flat_world(signals=[light(0, (0,))])
     car, walker = vehicle(world), world.spawn("walker.pedestrian.0001", at(20.0))
     prop = world.spawn("static.prop.barrel", at(40.0))
     assert isinstance(walker, Walker)
+    control, signal = car.physics_control, world.traffic_lights[0]
+    wheel = replace(control.wheels[0], radius=number)
     attempts = [
         lambda: world.spawn("vehicle.audi.tt", at(number)),
         lambda: setattr(car, "transform", at(0.0, number)),
@@ -173,29 +175,30 @@ def test_infinite_numbers_and_nan_are_errors(number: float) -> None:
         lambda: car.set_target_velocity(Vector(number)),
         lambda: car.add_impulse(Vector(0.0, number)),
         lambda: car.add_force(Vector(number)),
-        lambda: setattr(car, "physics_control", replace(car.physics_control, mass=number)),
+        lambda: car.add_impulse(Vector(1.1e4 * control.mass)),
+        lambda: car.add_force(Vector(1.1e4 * control.mass / world.delta)),
+        lambda: setattr(car, "physics_control", replace(control, mass=number)),
+        lambda: setattr(car, "physics_control", replace(control, wheels=[])),
+        lambda: setattr(car, "physics_control", replace(control, wheels=[wheel])),
+        lambda: setattr(car, "physics_control", replace(control, forward_gears=control.forward_gears * 13)),
+        lambda: car.apply_control(VehicleControl(manual_gear_shift=True, gear=99)),
+        lambda: car.apply_control(VehicleControl(throttle=float("nan"))),
+        lambda: setattr(car, "light_state", -1),
+        lambda: car.set_door(9, True),
         lambda: walker.apply_control(WalkerControl(Vector(number), 1.0)),
-        lambda: setattr(world.traffic_lights[0], "green_time", number),
+        lambda: setattr(signal, "green_time", number),
+        lambda: setattr(signal, "state", 5),
         lambda: setattr(world, "weather", replace(world.weather, wetness=number)),
+        lambda: setattr(world, "weather", "HardRainNoon"),
+        lambda: World(flat_town(), seed=-1),
     ]
     for attempt in attempts:
-        with pytest.raises(SimError, match=r"expected 0 s or more|expected at most 10+ "):
+        with pytest.raises(SimError, match="expected"):
             attempt()
     world.tick()
     assert car.transform == at(0.0)
-
-
-def test_a_negative_seed_is_an_error() -> None:
-    with pytest.raises(SimError, match=r"seed: expected 0 or a larger whole number, found -1"):
-        World(flat_town(), seed=-1)
-
-
-def test_doors_and_states_that_do_not_exist_are_errors() -> None:
-    world = flat_world(signals=[light(0, (0,))])
-    with pytest.raises(SimError, match="a door: expected 0 to 6, found 9"):
-        vehicle(world).set_door(9, True)
-    with pytest.raises(SimError, match="the state of a traffic light: expected 0 to 4, found 5"):
-        world.traffic_lights[0].state = 5
+    car.apply_control(VehicleControl(throttle=7.0, steer=-7.0, gear=99))
+    assert (car.control.throttle, car.control.steer) == (1.0, -1.0)
 
 
 def test_a_new_episode_has_no_actors_of_the_old_one() -> None:
@@ -252,29 +255,6 @@ def test_a_physics_control_that_cannot_be_simulated_changes_nothing() -> None:
     assert world.vehicles.mass[car.row] == before.mass
 
 
-def test_invalid_physics_controls_and_controls_are_errors() -> None:
-    world = flat_world()
-    car = vehicle(world)
-    control = car.physics_control
-    attempts = [
-        lambda: car.add_impulse(Vector(1.1e4 * control.mass)),
-        lambda: car.add_force(Vector(1.1e4 * control.mass / world.delta)),
-        lambda: setattr(car, "physics_control", replace(control, mass=float("nan"))),
-        lambda: setattr(car, "physics_control", replace(control, wheels=[])),
-        lambda: setattr(car, "physics_control", replace(control, wheels=[replace(control.wheels[0], radius=float("nan"))])),
-        lambda: setattr(car, "physics_control", replace(control, forward_gears=control.forward_gears * 13)),
-        lambda: setattr(car, "physics_control", replace(control, clutch_strength=1e39)),
-        lambda: car.apply_control(VehicleControl(manual_gear_shift=True, gear=99)),
-        lambda: car.apply_control(VehicleControl(throttle=float("nan"))),
-        lambda: setattr(car, "light_state", -1),
-    ]
-    for attempt in attempts:
-        with pytest.raises(SimError, match=r"Vehicle\(.*, 'vehicle.audi.tt'\)"):
-            attempt()
-    car.apply_control(VehicleControl(throttle=7.0, steer=-7.0, gear=99))
-    assert (car.control.throttle, car.control.steer) == (1.0, -1.0)
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -307,12 +287,6 @@ def test_invalid_durations_are_errors() -> None:
 def test_an_attribute_that_the_blueprint_does_not_have_is_an_error() -> None:
     with pytest.raises(SpawnError, match=r"vehicle.audi.tt has no attribute 'rolename'; it has role_name"):
         flat_world().spawn("vehicle.audi.tt", at(0.0), rolename="hero")
-
-
-@pytest.mark.parametrize("weather", ["HardRainNoon", None, 3])
-def test_the_weather_is_a_weather(weather: object) -> None:
-    with World(seed=1) as world, pytest.raises(SimError, match=r"a Weather was expected, such as PRESETS\['HardRainNoon'\]"):
-        world.weather = weather  # type: ignore[assignment]
 
 
 def test_a_source_date_that_is_no_number_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

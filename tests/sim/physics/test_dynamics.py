@@ -105,40 +105,28 @@ def test_a_drawn_hand_brake_brakes_in_a_bend() -> None:
     assert speeds[1] < 0.5 * speeds[0]
 
 
-def test_the_hand_brake_holds_it_against_the_engine() -> None:
+@pytest.mark.parametrize(
+    ("name", "speed", "control", "seconds", "low", "high"),
+    [
+        ("audi.a2", 0.0, VehicleControl(throttle=0.3, hand_brake=True), 2.0, -0.1, 0.1),  # held against the engine
+        ("seat.leon", 0.0, VehicleControl(throttle=1.0, reverse=True), 20.0, -60 * KMH, -20 * KMH),
+        ("audi.tt", 20.0, VehicleControl(throttle=1.0, manual_gear_shift=True, gear=0), 1.0, 0.0, 20.0),
+        ("audi.tt", 0.0, VehicleControl(throttle=1.0, manual_gear_shift=True, gear=1), 20.0, 10.0, 20.0),
+    ],
+)
+def test_it_is_as_fast_as_its_gear_and_its_brake_allow(
+    name: str, speed: float, control: VehicleControl, seconds: float, low: float, high: float
+) -> None:
     world = flat_world()
-    car = vehicle(world, "audi.a2")
-    car.apply_control(VehicleControl(throttle=0.3, hand_brake=True))
-    world.run(2)
-    assert car.velocity.length() == pytest.approx(0, abs=0.1)
-
-
-def test_reverse_drives_backwards_and_slower() -> None:
-    world = flat_world()
-    car = vehicle(world, "seat.leon", x=2000.0)
-    car.apply_control(VehicleControl(throttle=1.0, reverse=True))
-    world.run(20)
-    assert -60 * KMH < car.velocity.x < -20 * KMH
-    assert car.control.gear == -1
-
-
-def test_neutral_can_be_chosen() -> None:
-    world = flat_world()
-    car = vehicle(world, "audi.tt")
-    car.set_target_velocity(Vector(20.0))
-    world.vehicles.engage(0)
-    car.apply_control(VehicleControl(throttle=1.0, manual_gear_shift=True, gear=0))
-    world.run(1)
-    assert car.velocity.x < 20.0
-    assert car.control.gear == 0
-
-
-def test_in_first_gear_it_is_no_faster_than_its_revolutions_allow() -> None:
-    world = flat_world()
-    car = vehicle(world, "audi.tt")
-    car.apply_control(VehicleControl(throttle=1.0, manual_gear_shift=True, gear=1))
-    world.run(20)
-    assert 10 < car.velocity.x < 20
+    car = vehicle(world, name, x=2000.0)
+    car.set_target_velocity(Vector(speed))
+    if speed:
+        world.vehicles.engage(0)
+    car.apply_control(control)
+    world.run(seconds)
+    assert low < car.velocity.x < high
+    if control.reverse or control.manual_gear_shift:
+        assert car.control.gear == (-1 if control.reverse else control.gear)
 
 
 def test_without_throttle_it_rolls_out_and_stays() -> None:
