@@ -11,7 +11,7 @@ from carla_recap.rendering.camera import ImageKind
 from carla_recap.scene.materials import LAMP_BITS, MATERIALS, Material
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from carla_recap.scene.models import Model
     from carla_recap.util.arrays import Floats
 
+    Table = tuple[Any, np.dtype[np.void], str]  # a buffer of rows, their fields, and whether each is for an instance: "/i"
+
+CORNER: Final = np.dtype([("corner", "2f4")])
+"""A corner of the image, from -1 to 1."""
 HALO: Final = np.dtype([("center", "4f4"), ("light", "3f4")])
 """A disc of light: its centre relative to the camera and its radius in m, and its colour, from 0 to 1."""
 _HALO_RADIUS: Final = 2.6  # of the halo, in those of the lamp
@@ -100,7 +104,9 @@ class GroundBuffers:
         self._commands[:, 2] = np.cumsum([0, *corners])[:-1]
         self._commands[:, 3] = np.cumsum([0, *counts])[:-1]
         triangles = np.concatenate([np.zeros((0, 3), np.uint32), *(tile.triangles for tile in tiles)])
-        self.vertices = context.buffer(vertices.tobytes() or bytes(shaders.VERTEX.itemsize))
+        self.tables: list[Table] = [
+            (context.buffer(vertices.tobytes() or bytes(shaders.VERTEX.itemsize)), shaders.VERTEX, "")
+        ]
         self.triangles = context.buffer(triangles.astype(np.uint32).tobytes() or bytes(12))
         self.commands = context.buffer(reserve=max(self._commands.nbytes, 20))
 
@@ -123,20 +129,14 @@ class ModelBuffers:
         vertices["pivot"][:, :2], vertices["pivot"][:, 2] = model.pivots, model.steered
         self._loaded: InstanceGroup | None = None
         self.is_flat = not len(mesh.vertices) or bool(np.ptp(mesh.vertices[:, 2]) < 1e-3)
-        self._vertices = context.buffer(vertices.tobytes() or bytes(shaders.MODEL_VERTEX.itemsize))
         self.triangles = context.buffer(mesh.triangles.astype(np.uint32).tobytes() or bytes(12))
         self._instances = context.buffer(reserve=shaders.INSTANCE.itemsize * 64, dynamic=True)
         self._previous = context.buffer(reserve=shaders.PREVIOUS.itemsize * 64, dynamic=True)
-
-    def contents(self, program: Any) -> list[tuple[Any, ...]]:
-        """Return the buffers with their formats for a program: vertices, instances, and their previous poses."""
-        found = [
-            content_of(program, self._vertices, shaders.MODEL_VERTEX),
-            content_of(program, self._instances, shaders.INSTANCE, "/i"),
+        self.tables: list[Table] = [
+            (context.buffer(vertices.tobytes() or bytes(shaders.MODEL_VERTEX.itemsize)), shaders.MODEL_VERTEX, ""),
+            (self._instances, shaders.INSTANCE, "/i"),
+            (self._previous, shaders.PREVIOUS, "/i"),
         ]
-        if "previous_location" in program:
-            found.append(content_of(program, self._previous, shaders.PREVIOUS, "/i"))
-        return found
 
     def load(self, group: InstanceGroup) -> None:
         """Fill the buffers of instances, if another group is in them."""
@@ -171,17 +171,21 @@ def image_format(kind: ImageKind, width: int, height: int) -> tuple[tuple[int, i
     return (height, width, 2 if flow else 4), np.float32 if flow else np.uint8
 
 
-def content_of(program: Any, buffer: Any, dtype: np.dtype[np.void], divisor: str = "") -> tuple[Any, ...]:
-    """Return a buffer with its format for a program, which may not read all of its fields."""
-    formats, names = [], []
-    for name in dtype.names or ():
-        field = dtype[name]
-        if name in program:
-            formats.append(f"{int(np.prod(field.shape))}{field.base.kind}")
-            names.append(name)
-        else:
-            formats.append(f"{field.itemsize}x")
-    return buffer, " ".join(formats) + divisor, *names
+def contents_for(program: Any, tables: Iterable[Table]) -> list[tuple[Any, ...]]:
+    """Return the buffers that a program reads, with their formats; it may not read all of their fields."""
+    contents = []
+    for buffer, dtype, divisor in tables:
+        formats, names = [], []
+        for name in dtype.names or ():
+            field = dtype[name]
+            if name in program:
+                formats.append(f"{int(np.prod(field.shape))}{field.base.kind}")
+                names.append(name)
+            else:
+                formats.append(f"{field.itemsize}x")
+        if names:
+            contents.append((buffer, " ".join(formats) + divisor, *names))
+    return contents
 
 
 def fill(buffer: Any, rows: NDArray[np.void]) -> None:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from math import exp, radians, tan
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.rendering import shaders
-from carla_recap.rendering.sky import Sky
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera import Camera
+    from carla_recap.rendering.sky import Sky
     from carla_recap.scene.instances import Instances
 
 
@@ -25,8 +24,6 @@ FAR: Final = 5000.0
 """The distance of the farthest surface that is drawn, in m, along the view axis."""
 _FOG_HEIGHT: Final = 60.0  # m, in which the density of fog falls to a third
 _PERIOD: Final = 64.0  # m after which the grain of surfaces repeats
-
-_light_of: Final = lru_cache(maxsize=8)(Sky.light)  # cameras of a moment have the same weather
 
 
 class CameraView:
@@ -48,7 +45,7 @@ class CameraView:
         self.camera = camera
         self._before = before or camera
         self.sky, self._ground = sky, ground
-        self._light = _light_of(sky)
+        self._light = sky.light()
         rise = max(self._light.sun[2], shaders.LEAST_SUN)
         self.shadow_length = float(np.hypot(*self._light.sun[:2]) / rise) if self._light.shade < 1 else 0.0
         rows = np.array([_projection(camera)[index] for index in (0, 1, 3)]) @ _axes(camera)
@@ -104,10 +101,9 @@ class CameraView:
         block["haze"][:3] = light.haze
         block["cloud_color"][:3] = light.clouds
         altitude = max(float(camera.location[2] - self._ground[2]), 0.0) / _FOG_HEIGHT
-        thinning = (
-            (1 - exp(-altitude)) / altitude if altitude > 1e-3 else 1.0
-        )  # the mean density from the camera to the ground
-        block["fog"][:3] = self.sky.density * thinning, self.sky.fog_distance, 1.0
+        # the mean density from the camera to the ground
+        thinning = (1 - exp(-altitude)) / altitude if altitude > 1e-3 else 1.0
+        block["fog"][:2] = self.sky.density * thinning, self.sky.fog_distance
         block["world"][:2] = np.mod(camera.location[:2], _PERIOD)
         return block
 

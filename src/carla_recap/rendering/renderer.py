@@ -20,13 +20,14 @@ import numpy as np
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import shaders
 from carla_recap.rendering.buffers import (
+    CORNER,
     HALO,
     GroundBuffers,
     Halos,
     ImageBuffers,
     InstanceGroup,
     ModelBuffers,
-    content_of,
+    contents_for,
     fill,
     instance_table,
 )
@@ -227,7 +228,7 @@ class Renderer:
         context.disable(context.CULL_FACE)
         self._draw_ground(kinds, view)
         context.depth_func = "<="
-        self._full("sky", kinds).render(context.TRIANGLE_STRIP)
+        self._array("sky", kinds).render(context.TRIANGLE_STRIP)
         if ImageKind.RGB in kinds:
             self._draw_shadows(targets, view, [*solid, *clear])
             self._draw_clear(targets, clear)
@@ -240,7 +241,7 @@ class Renderer:
             framebuffer.use()
             self._context.enable_only(self._context.NOTHING)
             self._clouds.use(2)
-            self._full("sky_map", (ImageKind.RGB,)).render(self._context.TRIANGLE_STRIP)
+            self._array("sky_map").render(self._context.TRIANGLE_STRIP)
             framebuffer.release()
             self._mapped_sky = sky
         self._sky_map.use(3)
@@ -251,13 +252,8 @@ class Renderer:
         framebuffer.use()
         self._context.enable_only(self._context.NOTHING)
         large.texture(ImageKind.RGB).use(1)
-        key = "reduce", samples
-        if key not in self._arrays:
-            vertex, fragment = shaders.reducing_sources(*samples)
-            program = self._programs[key] = self._context.program(vertex_shader=vertex, fragment_shader=fragment)
-            program["image"] = 1
-            self._arrays[key] = self._context.vertex_array(program, [(self._corners, "2f", "corner")])
-        self._arrays[key].render(self._context.TRIANGLE_STRIP)
+        options = shaders.reducing(*samples)
+        self._array("reduce", (ImageKind.RGB,), *options).render(self._context.TRIANGLE_STRIP)
 
     def _draw_ground(self, kinds: tuple[ImageKind, ...], view: CameraView) -> None:
         tiles = self._ground.visible(view)
@@ -278,14 +274,14 @@ class Renderer:
             for group in groups:
                 if not group.model.is_flat:
                     count = group.load()
-                    self._array("blob", group.model).render(context.TRIANGLE_STRIP, instances=count)
+                    self._array("blob", model=group.model).render(context.TRIANGLE_STRIP, instances=count)
                     if group.shadows and self._is_epic and view.shadow_length:
-                        self._array("shadow", group.model).render(instances=group.shadows)
+                        self._array("shadow", model=group.model).render(instances=group.shadows)
             context.blend_equation = context.FUNC_ADD
             _mask(framebuffer, (True, True, True, True))
             context.blend_func = context.ZERO, context.DST_ALPHA, context.ONE, context.ZERO
             context.disable(context.DEPTH_TEST)
-            self._full("cover", (ImageKind.RGB,)).render(context.TRIANGLE_STRIP)
+            self._array("cover").render(context.TRIANGLE_STRIP)
             context.enable_only(context.DEPTH_TEST)
             framebuffer.depth_mask = True
 
@@ -318,7 +314,7 @@ class Renderer:
         framebuffer.use()
         context.enable(context.BLEND)
         context.blend_func = context.ONE, context.ONE
-        self._full("halo", (ImageKind.RGB,)).render(context.TRIANGLE_STRIP, instances=len(halos))
+        self._array("halo").render(context.TRIANGLE_STRIP, instances=len(halos))
         context.disable(context.BLEND)
         framebuffer.depth_mask = True
 
@@ -387,7 +383,7 @@ class Renderer:
             for block, binding in (("Frame", 0), ("Materials", 1)):
                 if block in program:
                     program[block].binding = binding
-            for texture, unit in (("clouds", 2), ("sky_map", 3)):
+            for texture, unit in (("image", 1), ("clouds", 2), ("sky_map", 3)):
                 if texture in program:
                     program[texture] = unit
             self._programs[key] = program
@@ -398,33 +394,19 @@ class Renderer:
             options = (*options, "INSTANCED")
         elif self._is_epic and ImageKind.RGB in kinds:
             options = (*options, "GRAIN")
-        key = kinds, model, options
-        if key not in self._arrays:
-            program = self._program("surface", kinds, *options)
-            contents = model.contents(program) if model else [content_of(program, self._ground.vertices, shaders.VERTEX)]
-            triangles = model.triangles if model else self._ground.triangles
-            self._arrays[key] = self._context.vertex_array(program, contents, triangles)
-        return self._arrays[key]
+        return self._array("surface", kinds, *options, model=model)
 
-    def _array(self, name: str, model: ModelBuffers) -> Any:
-        key = name, model
+    def _array(
+        self, name: str, kinds: tuple[ImageKind, ...] = (ImageKind.RGB,), *options: str, model: ModelBuffers | None = None
+    ) -> Any:
+        """Return the vertices for a program: those of a model, of the ground, or of the corners of the image."""
+        key = name, kinds, options, model
         if key not in self._arrays:
-            program = self._program(name, (ImageKind.RGB,))
-            if name == "blob":
-                contents = [(self._corners, "2f", "corner"), model.contents(program)[1]]
-                self._arrays[key] = self._context.vertex_array(program, contents)
-            else:
-                self._arrays[key] = self._context.vertex_array(program, model.contents(program)[:2], model.triangles)
-        return self._arrays[key]
-
-    def _full(self, name: str, kinds: tuple[ImageKind, ...]) -> Any:
-        key = name, kinds
-        if key not in self._arrays:
-            program = self._program(name, kinds)
-            contents: list[tuple[Any, ...]] = [(self._corners, "2f", "corner")]
-            if name == "halo":
-                contents.append(content_of(program, self._halos, HALO, "/i"))
-            self._arrays[key] = self._context.vertex_array(program, contents)
+            program = self._program(name, kinds, *options)
+            shape = model or self._ground
+            tables = [(self._corners, CORNER, ""), (self._halos, HALO, "/i"), *shape.tables]
+            triangles = () if "corner" in program else (shape.triangles,)
+            self._arrays[key] = self._context.vertex_array(program, contents_for(program, tables), *triangles)
         return self._arrays[key]
 
 

@@ -6,6 +6,7 @@ pixels then cost little, and surfaces are flat or finely divided. Fog is compute
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -34,28 +35,6 @@ INSTANCE: Final = np.dtype(
 """An instance; its rotation is a matrix, column by column."""
 PREVIOUS: Final = np.dtype([("previous_location", "3f4"), ("previous_rotation", "9f4")])
 """Where an instance was in the previous image, relative to the previous camera."""
-FRAME: Final = np.dtype(
-    [
-        ("clip", "(4,4)f4"),
-        ("previous_clip", "(4,4)f4"),
-        ("origin", "4f4"),
-        ("previous_origin", "4f4"),
-        ("forward", "4f4"),
-        ("right", "4f4"),
-        ("up", "4f4"),
-        ("size", "4f4"),
-        ("sun", "4f4"),
-        ("sunlight", "4f4"),
-        ("skylight", "4f4"),
-        ("groundlight", "4f4"),
-        ("zenith", "4f4"),
-        ("haze", "4f4"),
-        ("cloud_color", "4f4"),
-        ("fog", "4f4"),
-        ("world", "4f4"),
-    ]
-)
-"""The uniform block of an image, in std140; matrices column by column."""
 MATERIAL_COUNT: Final = 80
 LEAST_SUN: Final = 0.35
 """The height of the sun, as a sine, below which shadows get no longer."""
@@ -77,15 +56,18 @@ layout(std140) uniform Frame {
     vec4 zenith;          // sRGB colours of the sky; w: cloudiness
     vec4 haze;            // the sky at the horizon, and the fog
     vec4 cloud_color;
-    vec4 fog;             // density per m, distance at which it begins, exposure
+    vec4 fog;             // density per m, distance at which it begins
     vec4 world;           // the location of the camera, modulo the size of the grain
 };
 """
+FRAME: Final = np.dtype(
+    [(name, "(4,4)f4" if kind == "mat4" else "4f4") for kind, name in re.findall(r"^    (\w+) (\w+);", _FRAME, re.MULTILINE)]
+)
+"""The uniform block of an image, in std140; matrices column by column."""
 
 _LIGHT: Final = """
 vec3 linear(vec3 color) { return color * color * (color * 0.3 + 0.7); }
 vec3 encoded(vec3 light) {
-    light = light * fog.z;
     light = light * (1.0 + light * 0.12) / (1.0 + light * 0.42);   // bright surfaces keep their colours
     return pow(light, vec3(1.0 / 2.2));
 }
@@ -494,15 +476,11 @@ _GRAINS: Final = {
 }
 
 
-def reducing_sources(columns: int, rows: int) -> tuple[str, str]:
-    """Return the source texts of shaders that average rectangles of pixels of an RGB image; see `sources`."""
+def reducing(columns: int, rows: int) -> tuple[str, ...]:
+    """Return the options of shaders that average rectangles of pixels of an RGB image; see `sources`."""
     places = [(x, y) for y in _offsets(rows) for x in _offsets(columns)]
     terms = " ".join(f"sum += texture(image, v_place + pixel * vec2({x}, {y})).rgb;" for x, y in places)
-    vertex, fragment = sources("reduce", (ImageKind.RGB,))
-    numbers = {"SUM": terms, "COLUMNS": f"{columns}.0", "ROWS": f"{rows}.0", "READS": f"{len(places)}.0"}
-    for name, number in numbers.items():
-        fragment = fragment.replace(name, number)
-    return vertex, fragment
+    return f"SUM {terms}", f"COLUMNS {columns}.0", f"ROWS {rows}.0", f"READS {len(places)}.0"
 
 
 def _offsets(pixels: int) -> list[float]:
@@ -531,7 +509,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     Args:
         name: "surface", "sky", "sky_map", "shadow", "blob", "cover", "halo" or "reduce".
         kinds: The kinds of images that it draws, in the order of the attachments.
-        options: INSTANCED, GRAIN, TRANSLUCENT.
+        options: INSTANCED, GRAIN, TRANSLUCENT, or those of `reducing`.
     """
     vertex, fragment = {
         "surface": (_LIGHT + _VERTEX, _ENCODED_DEPTH + _FRAGMENT),
@@ -543,7 +521,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
         "halo": (_HALO_VERTEX, _HALO_FRAGMENT),
         "reduce": (_COVER_VERTEX, _REDUCE_FRAGMENT),
     }[name]
-    defined = [_DEFINES[kind] for kind in kinds] + list(options)
+    defined = [kind.name for kind in kinds] + list(options)
     if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:
         defined.append("MARKS")
     head = "#version 330\n" + "".join(f"#define {each}\n" for each in defined)
@@ -551,17 +529,7 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     numbers |= {"LAYER": f"{_SHADOW_LAYER:.8f}", "ACTOR_LAYER": f"{_ACTOR_LAYER:.8f}"}
     head += "".join(f"#define {key} {value}\n" for key, value in numbers.items()) + _FRAME
     outputs = "".join(
-        f"layout(location={index}) out {'vec2' if kind is ImageKind.FLOW else 'vec4'} o_{_DEFINES[kind].lower()};\n"
+        f"layout(location={index}) out {'vec2' if kind is ImageKind.FLOW else 'vec4'} o_{kind.name.lower()};\n"
         for index, kind in enumerate(kinds)
     )
     return head + vertex, head + outputs + fragment
-
-
-_DEFINES: Final = {
-    ImageKind.RGB: "RGB",
-    ImageKind.DEPTH: "DEPTH",
-    ImageKind.SEMANTIC: "SEMANTIC",
-    ImageKind.INSTANCE: "INSTANCE",
-    ImageKind.NORMALS: "NORMALS",
-    ImageKind.FLOW: "FLOW",
-}

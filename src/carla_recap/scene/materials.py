@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -58,76 +58,6 @@ TAG_COLORS: Final[tuple[Color, ...]] = (
 """The colours of the tags in CARLA's `ColorConverter.CityScapesPalette`."""
 
 
-class Material(IntEnum):
-    """The material of a vertex: an index of `MATERIALS`."""
-
-    GRASS = 0
-    GROUND = 1
-    MEDIAN = 2
-    SHOULDER = 3
-    PARKING = 4
-    BIKE_LANE = 5
-    ROAD = 6
-    JUNCTION = 7
-    SIDEWALK = 8
-    KERB = 9
-    BRIDGE = 10
-    CROSSING = 11
-    WHITE_LINE = 12
-    YELLOW_LINE = 13
-    STOP_LINE = 14
-    COLLISION_MARK = 15
-    POLE = 16
-    LIGHT_HOUSING = 17
-    SIGN_BACK = 18
-    SIGN_WHITE = 19
-    SIGN_RED = 20
-    SIGN_YELLOW = 21
-    RED_LAMP = 22
-    YELLOW_LAMP = 23
-    GREEN_LAMP = 24
-    PAINT = 25
-    SECOND_PAINT = 26
-    GLASS = 27
-    TRIM = 28
-    CHROME = 29
-    TYRE = 30
-    RIM = 31
-    HEADLIGHT = 32
-    TAIL_LIGHT = 33
-    LEFT_INDICATOR = 34
-    RIGHT_INDICATOR = 35
-    REVERSE_LIGHT = 36
-    BEACON = 37
-    SKIN = 38
-    HAIR = 39
-    TROUSERS = 40
-    SHOES = 41
-    RIDER_SKIN = 42
-    RIDER_CLOTHES = 43
-    RIDER_TROUSERS = 44
-    RIDER_HELMET = 45
-    WOOD = 46
-    CARDBOARD = 47
-    CONCRETE = 48
-    WARNING_ORANGE = 49
-    FOLIAGE = 50
-    SIGN_BLACK = 51
-    BRAKE_LIGHT = 52
-    FAIR_SKIN = 53
-    DARK_SKIN = 54
-    FAIR_HAIR = 55
-    DARK_HAIR = 56
-    JEANS = 57
-    LIGHT_TROUSERS = 58
-    YELLOW_BAND = 59
-    RED_BAND = 60
-    TRUNK = 61
-    PLAIN = 62
-    GUARD_RAIL = 63
-    FENCE = 64
-
-
 class Finish(NamedTuple):
     """How a material looks."""
 
@@ -137,80 +67,91 @@ class Finish(NamedTuple):
     gloss: float = 0.0  # the share of light that is reflected like by a mirror, 0 to 1
 
 
-_M: Final = Material
-MATERIALS: Final[dict[Material, Finish]] = {
-    _M.GRASS: Finish((101, 116, 76), Tag.TERRAIN),
-    _M.GROUND: Finish((134, 128, 112), Tag.GROUND),
-    _M.MEDIAN: Finish((118, 120, 112), Tag.GROUND),
-    _M.SHOULDER: Finish((80, 80, 82), Tag.ROADS),
-    _M.PARKING: Finish((82, 83, 88), Tag.ROADS),
-    _M.BIKE_LANE: Finish((124, 74, 66), Tag.ROADS),
-    _M.ROAD: Finish((70, 71, 74), Tag.ROADS),
-    _M.JUNCTION: Finish((70, 71, 74), Tag.ROADS),
-    _M.SIDEWALK: Finish((164, 160, 152), Tag.SIDEWALKS),
-    _M.KERB: Finish((186, 184, 178), Tag.SIDEWALKS),
-    _M.BRIDGE: Finish((150, 150, 148), Tag.BRIDGE),
-    _M.CROSSING: Finish((224, 224, 220), Tag.ROAD_LINES),
-    _M.WHITE_LINE: Finish((228, 228, 224), Tag.ROAD_LINES),
-    _M.YELLOW_LINE: Finish((226, 180, 48), Tag.ROAD_LINES),
-    _M.STOP_LINE: Finish((232, 232, 228), Tag.ROAD_LINES),
-    _M.COLLISION_MARK: Finish((214, 40, 40), Tag.ROADS),
-    _M.POLE: Finish((96, 100, 104), Tag.POLES),
-    _M.LIGHT_HOUSING: Finish((38, 40, 42), Tag.TRAFFIC_LIGHT),
-    _M.SIGN_BACK: Finish((150, 152, 154), Tag.TRAFFIC_SIGNS),
-    _M.SIGN_WHITE: Finish((236, 236, 234), Tag.TRAFFIC_SIGNS),
-    _M.SIGN_RED: Finish((196, 34, 40), Tag.TRAFFIC_SIGNS),
-    _M.SIGN_YELLOW: Finish((240, 192, 40), Tag.TRAFFIC_SIGNS),
-    _M.RED_LAMP: Finish((64, 20, 20), Tag.TRAFFIC_LIGHT, (255, 48, 40)),
-    _M.YELLOW_LAMP: Finish((64, 52, 16), Tag.TRAFFIC_LIGHT, (255, 200, 40)),
-    _M.GREEN_LAMP: Finish((16, 56, 32), Tag.TRAFFIC_LIGHT, (48, 240, 120)),
-    _M.PAINT: Finish((200, 200, 200), gloss=0.35),
-    _M.SECOND_PAINT: Finish((235, 235, 235), gloss=0.3),
-    _M.GLASS: Finish((32, 40, 50), gloss=0.6),
-    _M.TRIM: Finish((44, 45, 48), gloss=0.1),
-    _M.CHROME: Finish((176, 180, 184), gloss=0.6),
-    _M.TYRE: Finish((30, 30, 32)),
-    _M.RIM: Finish((142, 146, 150), gloss=0.4),
-    _M.HEADLIGHT: Finish((172, 182, 192), glow=(255, 252, 226), gloss=0.4),
-    _M.TAIL_LIGHT: Finish((110, 18, 22), glow=(255, 44, 40), gloss=0.3),
-    _M.LEFT_INDICATOR: Finish((150, 92, 28), glow=(255, 170, 40), gloss=0.3),
-    _M.RIGHT_INDICATOR: Finish((150, 92, 28), glow=(255, 170, 40), gloss=0.3),
-    _M.REVERSE_LIGHT: Finish((190, 190, 192), glow=(255, 255, 255), gloss=0.3),
-    _M.BEACON: Finish((36, 60, 140), glow=(70, 130, 255), gloss=0.3),
-    _M.SKIN: Finish((198, 152, 124)),
-    _M.HAIR: Finish((58, 42, 34)),
-    _M.TROUSERS: Finish((58, 66, 84)),
-    _M.SHOES: Finish((40, 38, 38)),
-    _M.RIDER_SKIN: Finish((198, 152, 124), Tag.RIDER),
-    _M.RIDER_CLOTHES: Finish((70, 90, 120), Tag.RIDER),
-    _M.RIDER_TROUSERS: Finish((54, 56, 62), Tag.RIDER),
-    _M.RIDER_HELMET: Finish((220, 220, 216), Tag.RIDER, gloss=0.2),
-    _M.WOOD: Finish((136, 104, 72)),
-    _M.CARDBOARD: Finish((182, 148, 104)),
-    _M.CONCRETE: Finish((168, 166, 160)),
-    _M.WARNING_ORANGE: Finish((240, 106, 34)),
-    _M.FOLIAGE: Finish((74, 106, 54), Tag.VEGETATION),
-    _M.SIGN_BLACK: Finish((34, 34, 36), Tag.TRAFFIC_SIGNS),
-    _M.BRAKE_LIGHT: Finish((96, 14, 18), glow=(255, 44, 40), gloss=0.3),
-    _M.FAIR_SKIN: Finish((232, 190, 164)),
-    _M.DARK_SKIN: Finish((116, 78, 58)),
-    _M.FAIR_HAIR: Finish((176, 134, 80)),
-    _M.DARK_HAIR: Finish((30, 26, 26)),
-    _M.JEANS: Finish((60, 86, 128)),
-    _M.LIGHT_TROUSERS: Finish((164, 150, 128)),
-    _M.YELLOW_BAND: Finish((240, 192, 40), gloss=0.2),
-    _M.RED_BAND: Finish((196, 34, 40), gloss=0.2),
-    _M.TRUNK: Finish((98, 80, 62), Tag.VEGETATION),
-    _M.PLAIN: Finish((200, 200, 200)),
-    _M.GUARD_RAIL: Finish((166, 170, 172), Tag.GUARD_RAIL),
-    _M.FENCE: Finish((84, 92, 88), Tag.FENCES),
-}
-"""All materials."""
+class Material(IntEnum):
+    """The material of a vertex: an index of `MATERIALS`, and its `Finish`."""
+
+    finish: Finish
+
+    def __new__(cls, number: int, *finish: Any) -> Self:
+        """Return a material with its finish."""
+        material = int.__new__(cls, number)
+        material._value_, material.finish = number, Finish(*finish)
+        return material
+
+    GRASS = 0, (101, 116, 76), Tag.TERRAIN
+    GROUND = 1, (134, 128, 112), Tag.GROUND
+    MEDIAN = 2, (118, 120, 112), Tag.GROUND
+    SHOULDER = 3, (80, 80, 82), Tag.ROADS
+    PARKING = 4, (82, 83, 88), Tag.ROADS
+    BIKE_LANE = 5, (124, 74, 66), Tag.ROADS
+    ROAD = 6, (70, 71, 74), Tag.ROADS
+    JUNCTION = 7, (70, 71, 74), Tag.ROADS
+    SIDEWALK = 8, (164, 160, 152), Tag.SIDEWALKS
+    KERB = 9, (186, 184, 178), Tag.SIDEWALKS
+    BRIDGE = 10, (150, 150, 148), Tag.BRIDGE
+    CROSSING = 11, (224, 224, 220), Tag.ROAD_LINES
+    WHITE_LINE = 12, (228, 228, 224), Tag.ROAD_LINES
+    YELLOW_LINE = 13, (226, 180, 48), Tag.ROAD_LINES
+    STOP_LINE = 14, (232, 232, 228), Tag.ROAD_LINES
+    COLLISION_MARK = 15, (214, 40, 40), Tag.ROADS
+    POLE = 16, (96, 100, 104), Tag.POLES
+    LIGHT_HOUSING = 17, (38, 40, 42), Tag.TRAFFIC_LIGHT
+    SIGN_BACK = 18, (150, 152, 154), Tag.TRAFFIC_SIGNS
+    SIGN_WHITE = 19, (236, 236, 234), Tag.TRAFFIC_SIGNS
+    SIGN_RED = 20, (196, 34, 40), Tag.TRAFFIC_SIGNS
+    SIGN_YELLOW = 21, (240, 192, 40), Tag.TRAFFIC_SIGNS
+    RED_LAMP = 22, (64, 20, 20), Tag.TRAFFIC_LIGHT, (255, 48, 40)
+    YELLOW_LAMP = 23, (64, 52, 16), Tag.TRAFFIC_LIGHT, (255, 200, 40)
+    GREEN_LAMP = 24, (16, 56, 32), Tag.TRAFFIC_LIGHT, (48, 240, 120)
+    PAINT = 25, (200, 200, 200), None, None, 0.35
+    SECOND_PAINT = 26, (235, 235, 235), None, None, 0.3
+    GLASS = 27, (32, 40, 50), None, None, 0.6
+    TRIM = 28, (44, 45, 48), None, None, 0.1
+    CHROME = 29, (176, 180, 184), None, None, 0.6
+    TYRE = 30, (30, 30, 32)
+    RIM = 31, (142, 146, 150), None, None, 0.4
+    HEADLIGHT = 32, (172, 182, 192), None, (255, 252, 226), 0.4
+    TAIL_LIGHT = 33, (110, 18, 22), None, (255, 44, 40), 0.3
+    LEFT_INDICATOR = 34, (150, 92, 28), None, (255, 170, 40), 0.3
+    RIGHT_INDICATOR = 35, (150, 92, 28), None, (255, 170, 40), 0.3
+    REVERSE_LIGHT = 36, (190, 190, 192), None, (255, 255, 255), 0.3
+    BEACON = 37, (36, 60, 140), None, (70, 130, 255), 0.3
+    SKIN = 38, (198, 152, 124)
+    HAIR = 39, (58, 42, 34)
+    TROUSERS = 40, (58, 66, 84)
+    SHOES = 41, (40, 38, 38)
+    RIDER_SKIN = 42, (198, 152, 124), Tag.RIDER
+    RIDER_CLOTHES = 43, (70, 90, 120), Tag.RIDER
+    RIDER_TROUSERS = 44, (54, 56, 62), Tag.RIDER
+    RIDER_HELMET = 45, (220, 220, 216), Tag.RIDER, None, 0.2
+    WOOD = 46, (136, 104, 72)
+    CARDBOARD = 47, (182, 148, 104)
+    CONCRETE = 48, (168, 166, 160)
+    WARNING_ORANGE = 49, (240, 106, 34)
+    FOLIAGE = 50, (74, 106, 54), Tag.VEGETATION
+    SIGN_BLACK = 51, (34, 34, 36), Tag.TRAFFIC_SIGNS
+    BRAKE_LIGHT = 52, (96, 14, 18), None, (255, 44, 40), 0.3
+    FAIR_SKIN = 53, (232, 190, 164)
+    DARK_SKIN = 54, (116, 78, 58)
+    FAIR_HAIR = 55, (176, 134, 80)
+    DARK_HAIR = 56, (30, 26, 26)
+    JEANS = 57, (60, 86, 128)
+    LIGHT_TROUSERS = 58, (164, 150, 128)
+    YELLOW_BAND = 59, (240, 192, 40), None, None, 0.2
+    RED_BAND = 60, (196, 34, 40), None, None, 0.2
+    TRUNK = 61, (98, 80, 62), Tag.VEGETATION
+    PLAIN = 62, (200, 200, 200)
+    GUARD_RAIL = 63, (166, 170, 172), Tag.GUARD_RAIL
+    FENCE = 64, (84, 92, 88), Tag.FENCES
+
+
+MATERIALS: Final = {material: material.finish for material in Material}
+"""The finishes of all materials."""
 LAMPS: Final = tuple(material for material, finish in MATERIALS.items() if finish.glow)
 """The materials that are lamps."""
 LAMP_BITS: Final = np.uint64(sum(1 << lamp for lamp in LAMPS))
 """Their bits in `Instances.lamps`."""
-SIGNAL_LAMPS: Final = (_M.RED_LAMP, _M.YELLOW_LAMP, _M.GREEN_LAMP)
+SIGNAL_LAMPS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
 """The lamps of traffic lights, in the order of CARLA's states."""
 
 
