@@ -131,6 +131,7 @@ def test_what_has_no_body_is_not_drawn(type_id):
 
 def test_signs_are_part_of_the_town_unless_asked_for():
     assert look_of("traffic.stop", ActorKind.TRAFFIC_SIGN, {}) is None
+    assert look_of("another.stop", ActorKind.TRAFFIC_SIGN, {}) is None
     names = {}
     for type_id in ("traffic.stop", "traffic.yield", "traffic.speed_limit.30", "traffic.speed_limit.33", "traffic.unknown"):
         look = look_of(type_id, ActorKind.TRAFFIC_SIGN, {}, signs=True)
@@ -263,7 +264,7 @@ def accident(yaw: float = 0.0):
     return frames
 
 
-@pytest.mark.parametrize(("yaw", "facing"), [(0.0, -1.0), (180.0, 1.0)])
+@pytest.mark.parametrize(("yaw", "facing"), [(0.0, -1.0), (180.0, 1.0), (60.0, -1.0), (-120.0, 1.0)])
 def test_a_walker_who_was_knocked_down_lies_in_the_direction_of_the_hit(played, yaw, facing):
     actors = SceneActors(marks=False)
     found = [actors.at(scene) for scene in played(*accident(yaw)).scenes()]

@@ -67,3 +67,14 @@ def test_near_misses_that_are_found_with_the_measures_are_not_shown_unasked(tmp_
             list(player.batches())
             assert len(played.found()) == count
             assert played.series() is not None
+
+
+def test_incidents_before_the_time_that_is_played_are_not_found(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)] * (n in (5, 40))} for n in range(60)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    with open_recording(write(tmp_path / "in.log", frames, tick=0.1)) as recording:
+        for start, count in ((0.0, 2), (2.0, 1)):
+            player = Player(recording, start=start)
+            played = PlayedIncidents(player, options=IncidentOptions(kinds=["collision"]))
+            list(player.batches())
+            assert len(played.found()) == count

@@ -97,6 +97,13 @@ def test_nothing_falls(batches, frames):
     assert falls(batches(frames)) == []
 
 
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_walker_that_is_hit_in_one_of_the_first_frames_falls(batches, before):
+    frames = [{**frame, "velocities": [(CAR, 10.0, 0, 0, 0, 0, 0)]} for frame in accident()[HIT - before :]]
+    frames[0]["spawned"] = [spawn(CAR), spawn(WALKER, "walker.pedestrian.0001")]
+    assert falls(batches(frames)) == [(0.1 + 0.1 * before, WALKER, True)]
+
+
 def test_a_lying_body_touches_the_ground(batches):
     walkers = FallenWalkers()
     *_, change = [each for batch in batches(accident()) for each in walkers.changes(batch)]

@@ -80,10 +80,11 @@ def test_a_mirrored_node_faces_outward():
 
 def test_what_is_below_a_steered_node_turns_about_its_origin():
     document, binary = square()
-    document["nodes"] = [{"name": "Steered left", "translation": [1, 0, 2], "children": [1]}, {"mesh": 0}]
+    document["nodes"] = [{"name": "Steered left", "translation": [1, 3, 2], "children": [1]}, {"mesh": 0}]
     (part,) = read_glb(glb(document, binary))
     assert part.pivot is not None
-    assert part.pivot.tolist() == [1, 0, 2]
+    assert part.pivot.tolist() == [1, 3, 2]
+    assert (part.normals == (0, 1, 0)).all()
 
 
 def test_what_is_seen_from_both_sides_has_a_rear():

@@ -25,8 +25,9 @@ def test_nothing_is_see_through_that_hides_nothing() -> None:
     assert opacities(((30, 0, 0.7), CAR), ((0, 3.5, 0.7), CAR), ((-30, 0, 0.7), CAR)) == (1, [1, 1, 1])
 
 
-def test_the_followed_actor_is_see_through_where_it_hides_another() -> None:
+def test_the_followed_actor_is_see_through_where_it_hides_half_of_another() -> None:
     assert opacities(((2.9, 0, 0.9), WALKER)) == (SEE_THROUGH, [1])
+    assert opacities(((4, 0, 0.9), WALKER)) == (1, [1])
 
 
 def test_what_covers_the_followed_actor_is_see_through() -> None:
