@@ -70,7 +70,7 @@ def test_near_misses_that_are_found_with_the_measures_are_not_shown_unasked(tmp_
 
 
 def test_incidents_before_the_time_that_is_played_are_not_found(tmp_path: Path) -> None:
-    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)] * (n in (5, 40))} for n in range(60)]
+    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)] * (n in (5, 20))} for n in range(30)]
     frames[0]["spawned"] = [spawn(1), spawn(2)]
     with open_recording(write(tmp_path / "in.log", frames, tick=0.1)) as recording:
         for start, count in ((0.0, 2), (2.0, 1)):

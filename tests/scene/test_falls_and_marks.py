@@ -104,6 +104,12 @@ def test_a_walker_that_is_hit_in_one_of_the_first_frames_falls(batches, before):
     assert falls(batches(frames)) == [(0.1 + 0.1 * before, WALKER, True)]
 
 
+def test_a_walker_that_is_hit_again_goes_on_lying(batches):
+    frames = accident(40)
+    frames[30]["collisions"] = [(1, CAR, WALKER, False, False)]
+    assert falls(batches(frames)) == [(0.3, WALKER, True)]
+
+
 def test_a_lying_body_touches_the_ground(batches):
     walkers = FallenWalkers()
     *_, change = [each for batch in batches(accident()) for each in walkers.changes(batch)]
