@@ -130,7 +130,7 @@ def test_an_id_that_is_used_again_is_the_heros_only_while_it_has_it(tmp_path, su
         assert recording.actors.columns()["kind"] == ["vehicle", "walker"]
         assert recording.trajectory("hero").x.tolist() == recording.trajectories("vehicle")[7].x.tolist() == [0, 1]
         assert recording.trajectories("walker")[7].x.tolist() == [3, 4]
-        assert recording.trajectory(7).x.tolist() == [0, 1, 3, 4]
+        assert recording.trajectory(7).x.tolist() == recording.trajectory(np.uint32(7)).x.tolist() == [0, 1, 3, 4]
         assert recording.controls("hero").gear.tolist() == [0, 1]
         assert {row.time for row in recording.measures() if row.measure == "speed"} <= {0, 1}
 

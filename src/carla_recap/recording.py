@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -471,11 +472,11 @@ class Recording:
 
     def _id(self, actor_id: ActorName) -> int:
         """Return the id of an actor; one that is an id need not have been spawned in the recording."""
-        return actor_id if isinstance(actor_id, int) else find_actor(self.location, self.actors.lives, actor_id).id
+        return int(actor_id) if isinstance(actor_id, Integral) else find_actor(self.location, self.actors.lives, actor_id).id
 
     def _counts(self, actor_id: ActorName, time: Floats) -> Booleans | slice:
         """Return which elapsed seconds, (n,), are of an actor: of an id, all; of the hero, those in which it has its id."""
-        if isinstance(actor_id, int):
+        if isinstance(actor_id, Integral):
             return slice(None)
         lives = self.actors.lives
         hero = find_actor(self.location, lives, actor_id)

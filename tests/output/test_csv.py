@@ -11,7 +11,9 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.output import csv as output
 from carla_recap.queries.measures import measures_over_time
+from carla_recap.queries.recorded_actors import actors
 from tests.cli.command import CROSSING, answer, error
+from tests.replay.scripts import spawn, write
 
 AVOIDED = CROSSING.with_name("avoided.mcap")
 
@@ -64,3 +66,12 @@ def test_extremes_are_a_table_too(avoided):
 )
 def test_what_does_not_go_together_is_an_error(arguments, message):
     assert message in error("measures", AVOIDED, *arguments)
+
+
+def test_a_text_with_a_carriage_return_is_one_cell(tmp_path):
+    path, role = tmp_path / "run.log", "a\rb"
+    write(path, [{"spawned": [spawn(1, role_name=role)]}])
+    with open_recording(path) as recording:
+        text = "".join(output.csv(actors(recording.reader)))
+    (row,) = csv.DictReader(io.StringIO(text, newline=""))
+    assert row["role_name"] == role

@@ -97,6 +97,18 @@ def verdict(sample: str, rule: str):
             "fail",
             "the recording has 600 frames instead of at least 1 and at most 5 frames",
         ),
+        (
+            "junction.mcap",
+            "frames = { min = 123456 }",
+            "fail",
+            "the recording has 600 frames instead of at least 123456 frames",
+        ),
+        (
+            "junction.mcap",
+            "duration = { min = 3600.125 }",
+            "fail",
+            "the recording has 29.95 s instead of at least 3600.125 s",
+        ),
         ("junction.mcap", 'actors = { of = "hero", min = 1, max = 1 }', "pass", "1 actor (the hero)"),
         (
             "junction.mcap",

@@ -39,5 +39,5 @@ def _cell(value: Any) -> Any:
 
 def _line(cells: list[Any]) -> str:
     text = StringIO()
-    writer(text, lineterminator="\n").writerow(cells)
-    return text.getvalue()
+    writer(text, lineterminator="\r\n").writerow(cells)  # so that a lone carriage return is quoted, too
+    return text.getvalue().removesuffix("\r\n") + "\n"

@@ -80,7 +80,8 @@ class Quantity:
     text: str = ""  # the quantity as a text, such as `0.8 g`; empty: a number
 
     def __str__(self) -> str:
-        return self.text or f"{self.value:.5g} {self.unit}".rstrip()
+        value = self.value if isinstance(self.value, int) else f"{self.value:.15g}"  # as it is written
+        return self.text or f"{value} {self.unit}".rstrip()
 
     @property
     def rounding(self) -> float:
