@@ -185,6 +185,15 @@ def test_accelerations_are_changes_of_velocities(log):
     assert log.get_actor_accelerations_at_frame(3, [7])[7].x == pytest.approx(-50)
 
 
+def test_the_first_frame_of_an_actor_with_the_id_of_another_has_no_acceleration(tmp_path):
+    with create_recording(tmp_path / "again.log", map_name="Town01") as recorder:
+        for number, x in enumerate((0, 100, 2000, 2200)):
+            spawned = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")] if number % 2 == 0 else []
+            recorder.add_frame(number / 10, spawned=spawned, transforms=[(7, x, 0, 0, 0, 0, 0)])
+    with MetricsLog(tmp_path / "again.log") as log:
+        assert [xyz(each) for each in log.get_all_actor_accelerations(7)] == [(0, 0, 0)] * 4
+
+
 def test_controls_speeds_and_lights(log):
     control = log.get_vehicle_control(7, 1)
     assert (control.steer, control.throttle, control.brake) == (0.5, 0.25, 0.75)

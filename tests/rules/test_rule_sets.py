@@ -204,6 +204,8 @@ def test_a_recording_is_compared_with_its_baseline(tmp_path):
         "error",
         f"{base}: has no baseline junction.log or .mcap",
     )
+    with open_recording(shutil.copy(SAMPLES / "crash.mcap", tmp_path / "crash?2.mcap")) as recording:
+        assert check(recording, rules)[0].message == f"{base}: has no baseline crash?2.log or .mcap"
 
 
 def test_a_failure_has_the_time_the_actors_and_all_offences():

@@ -237,7 +237,8 @@ class MetricsLog:
         if path is None:
             return None
         seconds = float(path.time[row] - path.time[row - 1]) if row else 0.0
-        if not seconds > 0:
+        before = int(self._paths[actor_id][0][row - 1]) + 1
+        if not seconds > 0 or self._lives.at(actor_id, before) is not self._lives.at(actor_id, frame):
             return carla.Vector3D(0, 0, 0)
         return carla.Vector3D(*(float(values[row] - values[row - 1]) / seconds for values in (path.vx, path.vy, path.vz)))
 

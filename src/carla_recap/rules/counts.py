@@ -11,6 +11,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
+from carla_recap.formats.sources import unsigned
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.differences import differences, metres, name_of
@@ -207,7 +208,7 @@ class SameAs(Condition):
 
     def _path(self, recording: str) -> str:
         """Return the path of the baseline of a recording."""
-        name = Path(recording.partition("?")[0])
+        name = Path(unsigned(recording))
         if "://" in self.baseline and self.baseline.endswith("/"):
             return self.baseline + name.name
         if not Path(self.baseline).is_dir():
