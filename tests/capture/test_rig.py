@@ -290,12 +290,11 @@ def test_the_end_of_all_existing_sensors_completes_it(
     assert len(messages(capture.path, "imu", "imu", ImuReading)) > len(messages(capture.path, "gnss", "fix", LocationFix))
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_signals_complete_it(world: carla.World, starting: Starting, number: signal.Signals) -> None:
+def test_a_signal_completes_it(world: carla.World, starting: Starting) -> None:
     capture = starting(RIG)
     for _ in range(5):
         world.tick()
-    assert f" samples, stopped by {number.name}, " in capture.end(number)
+    assert " samples, stopped by SIGHUP, " in capture.end(signal.SIGHUP)
     assert len(messages(capture.path, "top", "points", PointCloud)) >= 5
     assert sorted(path.name for path in capture.path.parent.iterdir()) == [
         "a.foxglove.json",

@@ -23,11 +23,8 @@ FAR, TURNED = 0.05, math.radians(0.5)
 def shapes(draw: st.DrawFn, sharp: float, least: float) -> tuple[str, tuple[float, ...], float, str]:
     """Draw a kind of curve, its parameters, its length, and what it says of its range.
 
-    Args:
-        draw: Draws a value.
-        sharp: About the greatest curvature in 1/m.
-        least: The least ratio of the length of a parametric cubic and the length that it says; beyond its end, it goes on
-            straight, as CARLA has it.
+    It is about as sharp as some 1/m; a parametric cubic has at least some ratio of the length that it says, beyond which it
+    goes on straight, as CARLA has it.
     """
     kind = draw(st.sampled_from(sorted(PARAMETERS)))
     length = draw(st.floats(2.0 if kind == "poly3" else 1.0, 200.0))  # of a shorter cubic, CARLA has five points

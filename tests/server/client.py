@@ -27,12 +27,7 @@ BUMPER: Final = carla.Transform(carla.Location(x=2.5, z=0.8))
 
 
 def connect(port: int, folder: Path | None = None) -> carla.Client:
-    """Return a client of a server of this machine.
-
-    Args:
-        port: The port for calls.
-        folder: The folder where it keeps navigation meshes; else in the home folder.
-    """
+    """Return a client of a server of this machine, which keeps navigation meshes in a folder, else in the home folder."""
     client = carla.Client("127.0.0.1", port)
     client.set_timeout(PATIENCE)
     if folder is not None:
@@ -44,15 +39,9 @@ def connect(port: int, folder: Path | None = None) -> carla.Client:
 def serving(
     *options: object, through: Sequence[str] = (), **environment: str
 ) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """Run `carla-recap serve` at a free port until the end of the block, where it is killed if it has not ended.
+    """Run `carla-recap serve`, if need be by another command, at a free port; kill it at the end of the block.
 
-    Args:
-        options: Its options.
-        through: A command that runs it, if any.
-        environment: Variables of its environment besides those that commands of tests have.
-
-    Yields:
-        The process, with its standard output and errors as pipes, and the port for calls.
+    Yields the process, with its standard output and errors as pipes, and the port for calls.
     """
     command, pipe = [*through, COMMAND, "serve", "--port=0", *map(str, options)], subprocess.PIPE
     variables = ENVIRONMENT | environment

@@ -22,17 +22,7 @@ if TYPE_CHECKING:
 
 
 class Inside:
-    """A client inside the server.
-
-    Args:
-        release: The release of the client.
-        world: The served world; by default a new one with the built-in town.
-
-    Attributes:
-        world: The served world.
-        host: The host of that world.
-        client: What the host knows of the client.
-    """
+    """A client of a release inside the server of a world, by default a new one with the built-in town."""
 
     def __init__(self, release: Release | None = None, world: World | None = None) -> None:
         self.world = world or World(_town())

@@ -37,12 +37,7 @@ SPAWNED: Final = ("vehicle.*", "vehicle.*", "walker.*", "static.*", "static.trig
 
 
 class RandomCaller:
-    """Makes random calls.
-
-    Args:
-        port: The port for calls.
-        folder: The folder of the client's own files.
-    """
+    """Makes random calls of a client that has its own files in a folder."""
 
     def __init__(self, port: int, folder: Path) -> None:
         self.random = random.Random()

@@ -113,17 +113,10 @@ class CallingClient:
 def run(
     seconds: float, seed: int, most: int = sys.maxsize, trace: Path | None = None
 ) -> tuple[Counter[str], tuple[float, int, str], list[str]]:
-    """Make random calls.
+    """Make at most some random calls for some seconds, and write what became of each to a file, if any.
 
-    Args:
-        seconds: The time after which no more begin.
-        seed: The seed of all of them.
-        most: The most calls.
-        trace: A file for what became of each.
-
-    Returns:
-        How often which method was called; the longest time that the server has kept the fourth client waiting, in s, with
-        the seed and the method; and the lines of the server's log that tell of a fault of its own.
+    Returns how often which method was called; the longest time that the server has kept the fourth client waiting, in s,
+    with the seed and the method; and the lines of the server's log that tell of a fault of its own.
     """
     outcomes: Counter[str] = Counter()
     slowest = 0.0, 0, ""

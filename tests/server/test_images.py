@@ -42,22 +42,15 @@ SYNCHRONOUS = EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
 
 
 class Painter:
-    """Draws images in which each pixel is the number of the image; it can be held up.
+    """Draws images in which each pixel is the number of the image; it can be held up."""
 
-    Attributes:
-        views: The views that it has drawn.
-        go: While it is not set, nothing is drawn.
-        errors: The errors of the next images.
-        missing: Why it cannot be opened.
-    """
-
-    missing: Exception | None = None
+    missing: Exception | None = None  # why it cannot be opened
 
     def __init__(self) -> None:
-        self.views: list[View] = []
-        self.go = threading.Event()
+        self.views: list[View] = []  # that it has drawn
+        self.go = threading.Event()  # while it is not set, nothing is drawn
         self.go.set()
-        self.errors: list[Exception] = []
+        self.errors: list[Exception] = []  # of the next images
         self.closed = False
 
     def draw(self, view: View) -> Mapping[ImageKind, Any]:
@@ -75,11 +68,7 @@ class Painter:
 
 
 class Served:
-    """A host whose cameras are drawn by a painter; it needs an event loop.
-
-    Attributes:
-        host: The host, in synchronous mode.
-    """
+    """A host in synchronous mode whose cameras are drawn by a painter; it needs an event loop."""
 
     def __init__(self) -> None:
         self.host = Host(flat_world())

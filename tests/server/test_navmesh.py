@@ -156,11 +156,17 @@ def test_headers_say_what_follows(mesh: Mesh) -> None:
     assert (mesh.corners < mesh.header["high"]).all()
 
 
-def test_polygons_are_convex_and_turn_as_detour_wants(mesh: Mesh) -> None:
-    for number, polygon in enumerate(mesh.polygons):
+def test_polygons_are_convex_turn_as_detour_wants_and_are_filled_with_triangles(mesh: Mesh) -> None:
+    assert (mesh.polygons["flags"] == 1 << mesh.polygons["area"]).all()
+    for number, (polygon, detail) in enumerate(zip(mesh.polygons, mesh.details, strict=True)):
         assert 3 <= polygon["count"] <= CORNERS
         assert (turns(mesh.outline(number)) < 1e-3).all()
-    assert (mesh.polygons["flags"] == 1 << mesh.polygons["area"]).all()
+        rows = mesh.triangles[detail["triangle"] : detail["triangle"] + detail["triangles"]]
+        outline = mesh.outline(number)[:, :2]
+        around = np.roll(outline, -1, axis=0)
+        area = sum(np.linalg.det(outline[row[1:3]] - outline[row[0]]) for row in rows)
+        assert area == pytest.approx((outline[:, 0] * around[:, 1] - outline[:, 1] * around[:, 0]).sum(), rel=1e-3)
+        assert sum(int(row[3]) >> shift & 1 for row in rows for shift in (0, 2, 4)) == polygon["count"]
 
 
 def test_neighbours_share_a_side(mesh: Mesh) -> None:
@@ -172,17 +178,6 @@ def test_neighbours_share_a_side(mesh: Mesh) -> None:
                 around = beyond["corners"][: beyond["count"]].tolist()
                 assert side[::-1] in pairwise([*around, around[0]])
                 assert number in mesh.neighbours(other - 1)
-
-
-def test_triangles_fill_the_polygons(mesh: Mesh) -> None:
-    for number, detail in enumerate(mesh.details):
-        outline = mesh.outline(number)[:, :2]
-        rows = mesh.triangles[detail["triangle"] : detail["triangle"] + detail["triangles"]]
-        area = sum(np.linalg.det(outline[row[1:3]] - outline[row[0]]) for row in rows)
-        around = np.roll(outline, -1, axis=0)
-        assert area == pytest.approx((outline[:, 0] * around[:, 1] - outline[:, 1] * around[:, 0]).sum(), rel=1e-3)
-        sides = sum(int(row[3]) >> shift & 1 for row in rows for shift in (0, 2, 4))
-        assert sides == mesh.polygons[number]["count"]
 
 
 def test_boxes_find_all_polygons_at_a_place(mesh: Mesh) -> None:

@@ -79,29 +79,20 @@ def test_each_script_says_what_it_does(
     assert "-p P, --port P" in text
 
 
-def test_file_info(client: carla.Client, port: int) -> None:
-    assert (
-        output_of(port, "show_recorder_file_info", "-f", "staged.log")
-        == client.show_recorder_file_info("staged", False) + "\n"
-    )
-    everything = output_of(port, "show_recorder_file_info", "-f", "staged.log", "-a")
+def test_queries(client: carla.Client, port: int) -> None:
+    recording, van = ("-f", "staged.log"), "vehicle.mercedes.sprinter"
+    assert output_of(port, "show_recorder_file_info", *recording) == client.show_recorder_file_info("staged", False) + "\n"
+    everything = output_of(port, "show_recorder_file_info", *recording, "-a")
     assert everything == client.show_recorder_file_info("staged.log", True) + "\n"
     assert " Positions: " in everything
-
-
-def test_collisions(port: int) -> None:
-    everything = output_of(port, "show_recorder_collisions", "-f", "staged.log")
-    walkers = output_of(port, "show_recorder_collisions", "-f", "staged.log", "-t", "hw")
-    assert "vehicle.mercedes.sprinter" in everything
+    assert van in output_of(port, "show_recorder_collisions", *recording)
+    walkers = output_of(port, "show_recorder_collisions", *recording, "-t", "hw")
     assert "walker.pedestrian.0004" in walkers
-    assert "vehicle.mercedes.sprinter" not in walkers
+    assert van not in walkers
     with pytest.raises(AssertionError, match="-t hvw: expected two letters"):
         output_of(port, "show_recorder_collisions", "-t", "hvw")
-
-
-def test_actors_blocked(port: int) -> None:
-    assert "vehicle.mercedes.sprinter" not in output_of(port, "show_recorder_actors_blocked", "-f", "staged.log")
-    assert "vehicle.mercedes.sprinter" in output_of(port, "show_recorder_actors_blocked", "-f", "staged", "-t", 10, "-d", 50)
+    assert van not in output_of(port, "show_recorder_actors_blocked", *recording)
+    assert van in output_of(port, "show_recorder_actors_blocked", "-f", "staged", "-t", 10, "-d", 50)
 
 
 def test_replaying(client: carla.Client, world: carla.World, port: int) -> None:

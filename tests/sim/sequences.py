@@ -14,6 +14,7 @@ import tempfile
 import time
 from contextlib import suppress
 from copy import copy
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -55,6 +56,20 @@ heights = st.sampled_from(HEIGHTS)
 flags = st.booleans()
 
 
+def step(**values: Any) -> Any:
+    """Make a method a rule, which writes its name and what is drawn for it to the trace."""
+
+    def decorate(method: Any) -> Any:
+        @wraps(method)
+        def noted(self: WorldMachine, **drawn: Any) -> None:
+            self.note(method.__name__, *drawn.values())
+            method(self, **drawn)
+
+        return rule(**values)(noted)
+
+    return decorate
+
+
 class WorldMachine(RuleBasedStateMachine):
     """A world in which anything may happen in any order."""
 
@@ -76,13 +91,12 @@ class WorldMachine(RuleBasedStateMachine):
 
     # --- operations ---------------------------------------------------------------------------------------------------
 
-    @rule(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS), index=indices, z=heights, yaw=st.sampled_from((0.0, 30.0)))
+    @step(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS), index=indices, z=heights, yaw=st.sampled_from((0.0, 30.0)))
     def spawn(self, blueprint: str, index: int, z: float, yaw: float) -> None:
-        self.note("spawn", blueprint, index, z, yaw)
         if len(self.world.actors) < self.fewest + MOST:
             self.world.try_spawn(blueprint, self.place_at(index, z, yaw))
 
-    @rule(
+    @step(
         blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS),
         index=indices,
         count=st.integers(2, 12),
@@ -90,190 +104,163 @@ class WorldMachine(RuleBasedStateMachine):
     )
     def spawn_batch(self, blueprint: str, index: int, count: int, gap: float) -> None:
         """Spawn many side by side, where they overlap, touch, or stand free."""
-        self.note("spawn_batch", blueprint, index, count, gap)
         for turn in range(count):
             if len(self.world.actors) < self.fewest + MOST:
                 place = self.place_at(index, 0.0, 0.0)
                 place.location.y += turn * gap
                 self.world.place(blueprint, place)
 
-    @rule(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS + SENSORS), parent=actors)
+    @step(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS + SENSORS), parent=actors)
     def attach(self, blueprint: str, parent: int) -> None:
-        self.note("attach", blueprint, parent)
         actor = self.pick(parent)
         if actor is not None and len(self.world.actors) < self.fewest + MOST:
             self.world.spawn(blueprint, Transform(Location(0.5, 0.0, 2.0)), parent=actor)
 
-    @rule(blueprint=st.sampled_from(VEHICLES + PROPS), parent=actors, length=st.sampled_from((2, 30)))
+    @step(blueprint=st.sampled_from(VEHICLES + PROPS), parent=actors, length=st.sampled_from((2, 30)))
     def attach_chain(self, blueprint: str, parent: int, length: int) -> None:
         """Attach actors, each to the one before."""
-        self.note("attach_chain", blueprint, parent, length)
         actor = self.pick(parent)
         for _ in range(length):
             if actor is not None and len(self.world.actors) < self.fewest + MOST:
                 actor = self.world.spawn(blueprint, Transform(Location(0.5, 0.0, 0.1), Rotation(yaw=5.0)), parent=actor)
 
-    @rule(index=indices, friction=st.sampled_from(("0.0", "3.5f", "nonsense")), extent=st.sampled_from(("0", "500", "1e9")))
+    @step(index=indices, friction=st.sampled_from(("0.0", "3.5f", "nonsense")), extent=st.sampled_from(("0", "500", "1e9")))
     def trigger(self, index: int, friction: str, extent: str) -> None:
-        self.note("trigger", index, friction, extent)
         if len(self.world.actors) < self.fewest + MOST:
             size = dict.fromkeys(("extent_x", "extent_y", "extent_z"), extent)
             self.world.place("static.trigger.friction", self.place_at(index, 0.0, 0.0), friction=friction, **size)
 
-    @rule(actor=actors)
+    @step(actor=actors)
     def destroy(self, actor: int) -> None:
-        self.note("destroy", actor)
         if (found := self.pick(actor)) is not None:
             assert found.destroy()
             assert not found.destroy()
 
-    @rule(order=st.randoms(use_true_random=False), share=st.sampled_from((0.5, 1.0)))
+    @step(order=st.randoms(use_true_random=False), share=st.sampled_from((0.5, 1.0)))
     def destroy_many(self, order: Any, share: float) -> None:
-        self.note("destroy_many", share)
         found = list(self.spawned())
         order.shuffle(found)
         for actor in found[: round(share * len(found))]:
             actor.destroy()
 
-    @rule(actor=actors, enabled=flags)
+    @step(actor=actors, enabled=flags)
     def simulate_physics(self, actor: int, enabled: bool) -> None:
-        self.note("simulate_physics", actor, enabled)
         if isinstance(found := self.pick(actor), MovingActor):
             found.set_simulate_physics(enabled)
 
-    @rule(enabled=flags)
+    @step(enabled=flags)
     def simulate_physics_of_all_but_one(self, enabled: bool) -> None:
-        self.note("simulate_physics_of_all_but_one", enabled)
         for actor in list(self.movers())[1:]:
             actor.set_simulate_physics(enabled)
 
-    @rule(actor=actors, enabled=flags)
+    @step(actor=actors, enabled=flags)
     def collide(self, actor: int, enabled: bool) -> None:
-        self.note("collide", actor, enabled)
         if isinstance(found := self.pick(actor), (MovingActor, Prop)):
             found.set_collisions(enabled)
 
-    @rule(actor=actors, index=indices, z=heights)
+    @step(actor=actors, index=indices, z=heights)
     def teleport(self, actor: int, index: int, z: float) -> None:
-        self.note("teleport", actor, index, z)
         if (found := self.pick(actor)) is not None:
             found.transform = self.place_at(index, z, 10.0)
 
-    @rule(actor=actors, other=actors)
+    @step(actor=actors, other=actors)
     def teleport_onto(self, actor: int, other: int) -> None:
-        self.note("teleport_onto", actor, other)
         found, upon = self.pick(actor), self.pick(other)
         if found is not None and upon is not None:
             found.transform = upon.transform
 
-    @rule(actor=actors, speed=st.sampled_from((-5.0, 0.0, 20.0, 90.0)))
+    @step(actor=actors, speed=st.sampled_from((-5.0, 0.0, 20.0, 90.0)))
     def push(self, actor: int, speed: float) -> None:
-        self.note("push", actor, speed)
         if isinstance(found := self.pick(actor), MovingActor):
             found.set_target_velocity(Vector(speed, 0.5 * speed))
 
-    @rule(actor=actors, impulse=st.sampled_from((-2e4, 10.0, 1e6)), force=flags)
+    @step(actor=actors, impulse=st.sampled_from((-2e4, 10.0, 1e6)), force=flags)
     def shove(self, actor: int, impulse: float, force: bool) -> None:
-        self.note("shove", actor, impulse, force)
         if isinstance(found := self.pick(actor), Vehicle):
             with suppress(SimError):  # 1e6 N s are refused for a bicycle
                 (found.add_force if force else found.add_impulse)(Vector(impulse, -impulse, 0.0))
 
-    @rule(actor=actors, enabled=flags)
+    @step(actor=actors, enabled=flags)
     def weightless(self, actor: int, enabled: bool) -> None:
-        self.note("weightless", actor, enabled)
         if isinstance(found := self.pick(actor), MovingActor):
             found.set_enable_gravity(enabled)
 
-    @rule(actor=actors)
+    @step(actor=actors)
     def fall(self, actor: int) -> None:
-        self.note("fall", actor)
         if isinstance(found := self.pick(actor), Walker):
             found.rows.fall(found.row)
 
-    @rule(actor=actors, gears=st.integers(1, 12), gear=st.integers(-1, 12))
+    @step(actor=actors, gears=st.integers(1, 12), gear=st.integers(-1, 12))
     def shift(self, actor: int, gears: int, gear: int) -> None:
         """Give a vehicle another gearbox, and a gear that it may lack in the next one."""
-        self.note("shift", actor, gears, gear)
         if isinstance(found := self.pick(actor), Vehicle):
             control = found.physics_control
             control.forward_gears = [copy(control.forward_gears[0]) for _ in range(gears)]
             found.physics_control = control
             found.apply_control(VehicleControl(1.0, manual_gear_shift=True, gear=min(gear, gears)))
 
-    @rule(actor=actors, throttle=st.sampled_from((0.0, 1.0)), steer=st.sampled_from((-1.0, 0.0)), reverse=flags)
+    @step(actor=actors, throttle=st.sampled_from((0.0, 1.0)), steer=st.sampled_from((-1.0, 0.0)), reverse=flags)
     def control(self, actor: int, throttle: float, steer: float, reverse: bool) -> None:
-        self.note("control", actor, throttle, steer, reverse)
         found = self.pick(actor)
         if isinstance(found, Vehicle):
             found.apply_control(VehicleControl(throttle, steer, 0.0, reverse=reverse))
         elif isinstance(found, Walker):
             found.apply_control(WalkerControl(Vector(throttle, steer), 2.0))
 
-    @rule(actor=actors, mass=st.sampled_from((100.0, 9000.0)))
+    @step(actor=actors, mass=st.sampled_from((100.0, 9000.0)))
     def weigh(self, actor: int, mass: float) -> None:
-        self.note("weigh", actor, mass)
         if isinstance(found := self.pick(actor), Vehicle):
             control = found.physics_control
             control.mass = mass
             found.physics_control = control
 
-    @rule(actor=actors, enabled=flags)
+    @step(actor=actors, enabled=flags)
     def autopilot(self, actor: int, enabled: bool) -> None:
-        self.note("autopilot", actor, enabled)
         if isinstance(found := self.pick(actor), Vehicle):
             found.set_autopilot(enabled)
 
-    @rule(enabled=flags)
+    @step(enabled=flags)
     def autopilot_for_all(self, enabled: bool) -> None:
-        self.note("autopilot_for_all", enabled)
         for actor in self.movers():
             if isinstance(actor, Vehicle):
                 actor.set_autopilot(enabled)
 
-    @rule(actor=actors, index=indices)
+    @step(actor=actors, index=indices)
     def walk_to(self, actor: int, index: int) -> None:
-        self.note("walk_to", actor, index)
         if isinstance(found := self.pick(actor), Walker):
             found.destination = self.place_at(index, 0.0, 0.0).location
 
-    @rule(count=st.sampled_from((1, 1, 2, 5)), delta=st.sampled_from((0.05, 0.05, 0.01, 0.5)))
+    @step(count=st.sampled_from((1, 1, 2, 5)), delta=st.sampled_from((0.05, 0.05, 0.01, 0.5)))
     def tick(self, count: int, delta: float) -> None:
-        self.note("tick", count, delta)
         for _ in range(count):
             self.world.tick(delta)
 
-    @rule()
+    @step()
     def sleep(self) -> None:
         """Let bodies come to rest and fall asleep, while one moves: there are no steps in a world where nothing moves."""
-        self.note("sleep")
         for _ in range(20):
             for mover in itertools.islice(self.movers(), 1):
                 mover.set_target_velocity(Vector(1.0))
             self.world.tick(0.05)
 
-    @rule(substepping=flags)
+    @step(substepping=flags)
     def substep(self, substepping: bool) -> None:
-        self.note("substep", substepping)
         self.world.settings.substepping = substepping
 
-    @rule()
+    @step()
     def reload(self) -> None:
-        self.note("reload")
         before = list(self.world.actors.values())
         self.world.reload()
         assert not any(actor.is_alive for actor in before)
 
-    @rule(start=st.sampled_from((0.0, 1.0)), factor=st.sampled_from((1.0, 0.0, 3.0)), sensors=flags)
+    @step(start=st.sampled_from((0.0, 1.0)), factor=st.sampled_from((1.0, 0.0, 3.0)), sensors=flags)
     def replay(self, start: float, factor: float, sensors: bool) -> None:
-        self.note("replay", start, factor, sensors)
         self.world.replayer.time_factor = factor
         self.world.replay_file(self.recording, start, 0.0, None, sensors)
 
     @precondition(lambda self: self.world.episode.replayed is not None)
-    @rule(keep=flags)
+    @step(keep=flags)
     def stop_replay(self, keep: bool) -> None:
-        self.note("stop_replay", keep)
         self.world.stop_replayer(keep)
 
     # --- invariants ---------------------------------------------------------------------------------------------------

@@ -15,15 +15,7 @@ STEPS = 20_000
 def places(
     kind: str, parameters: tuple[float, ...], length: float, end: float, along: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return u, v and the turn at distances along a curve.
-
-    Args:
-        kind: The name of its element.
-        parameters: Its parameters.
-        length: Its length in m.
-        end: The parameter at the end of a cubic.
-        along: The distances in m.
-    """
+    """Return u, v and the turn at distances along a curve, in m; `end` is the parameter where a cubic ends."""
     if kind in ("poly3", "paramPoly3"):
         if kind == "poly3":
             parameters = (0.0, 1.0, 0.0, 0.0, *parameters)

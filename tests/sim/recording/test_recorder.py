@@ -314,30 +314,23 @@ def test_names_go_to_the_folder_of_recordings_and_paths_do_not(tmp_path: Path, m
         recording_path("")
 
 
-def test_the_folder_of_recordings_is_made_and_others_are_not(tmp_path: Path) -> None:
-    world = World(flat_town(), recordings=tmp_path / "new" / "folder")
-    assert world.start_recorder("crash") == tmp_path / "new" / "folder" / "crash.mcap"
-    assert world.start_recorder("v.log") == tmp_path / "new" / "folder" / "v.log"
+def test_the_folder_of_recordings_and_those_below_it_are_made_and_others_are_not(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    world = World(flat_town(), recordings=folder)
+    for name, path in (("crash", "crash.mcap"), ("v.log", "v.log"), (folder / "a" / "b" / "crash.log", "a/b/crash.log")):
+        assert world.start_recorder(name) == folder / path
+    world.tick()
     world.close()
-    assert sorted(path.name for path in (tmp_path / "new" / "folder").iterdir()) == ["crash.mcap", "v.log"]
-    with pytest.raises(DestinationError, match="No such file or directory"):
-        world.start_recorder(tmp_path / "absent" / "a.mcap")
+    assert len(frames(folder / "a" / "b" / "crash.log")) == 1
+    assert sorted(path.name for path in folder.iterdir()) == ["a", "crash.mcap", "v.log"]
+    for path in (tmp_path / "absent" / "a.mcap", folder / ".." / "absent" / "a.mcap"):
+        with pytest.raises(DestinationError, match="No such file or directory"):
+            world.start_recorder(path)
     (tmp_path / "file").touch()
     with pytest.raises(RecapError, match="the folder of recordings cannot be made: Not a directory"):
         World(flat_town(), recordings=tmp_path / "file" / "x").start_recorder("a")
     assert world.recorder.path is None
     world.tick()
-
-
-def test_folders_below_that_of_recordings_are_made(tmp_path: Path) -> None:
-    with World(flat_town(), recordings=tmp_path / "new") as world:
-        path = tmp_path / "new" / "a" / "b" / "crash.log"
-        assert world.start_recorder(path) == path
-        world.tick()
-        world.stop_recorder()
-        assert len(frames(path)) == 1
-        with pytest.raises(DestinationError, match="No such file or directory"):
-            world.start_recorder(tmp_path / "new" / ".." / "absent" / "a.mcap")
 
 
 @pytest.mark.parametrize("name", ["manual_recording.rec", "run_0.9.16", "x.LOG"])

@@ -88,6 +88,7 @@ def test_from_every_spawn_point_one_gets_to_every_other(any_town: Town) -> None:
     assert len(main) > 0.85 * len(any_town.lanes)
     places = np.array([(point.location.x, point.location.y, point.location.z) for point in any_town.spawn_points])
     yaw = np.array([point.rotation.yaw for point in any_town.spawn_points])
+    assert ((yaw > -180) & (yaw <= 180)).all()
     lanes, s = any_town.nearest_lane(places[:, 0], places[:, 1], heading=np.radians(yaw))
     assert set(lanes.tolist()) <= main
     on_lane, heading = any_town.index.at(lanes, s)
@@ -473,11 +474,6 @@ def test_a_damaged_town_is_loaded_or_refused(tmp_path: Path, seed: int) -> None:
         odd = load_town(path)
         assert np.isfinite(odd.index.points).all()
         assert np.isfinite(odd.walks.nodes).all()
-
-
-def test_yaws_of_spawn_points_are_within_180_degrees(any_town: Town) -> None:
-    yaws = [point.rotation.yaw for point in any_town.spawn_points]
-    assert all(-180 < yaw <= 180 for yaw in yaws)
 
 
 @pytest.mark.parametrize("keeps_left", [False, True])
