@@ -18,8 +18,7 @@ from carla_recap.util import cache
 
 from .straight_road import STRAIGHT_ROAD
 from .towns import lane, mirrored, opendrive, road, section
-
-_MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
+from .towns import town as map_of
 
 
 @pytest.fixture(scope="module")
@@ -153,22 +152,15 @@ def test_the_built_in_town_is_found_by_name() -> None:
     assert roads is not None
     assert (roads.signals["kind"] == LIGHT).sum() == 17
     assert find_road_network("Nowhere") is None
-    again = road_network_of(_brickfield().read_text(), "again")
-    assert np.array_equal(again.stop_lines, roads.stop_lines)
-
-
-def _brickfield() -> Path:
     path = find_map("Brickfield")
     assert path is not None
-    return path
+    again = road_network_of(path.read_text(), "again")
+    assert np.array_equal(again.stop_lines, roads.stop_lines)
 
 
 @pytest.mark.parametrize(("town", "lights", "lines"), [("Town01", 36, 36), ("Town02", 24, 24), ("Town10HD", 17, 36)])
 def test_carla_towns_have_a_stop_line_for_each_light(town: str, lights: int, lines: int) -> None:
-    path = _MAPS / f"{town}.xodr"
-    if not path.exists():
-        pytest.skip(f"{path} is absent")
-    roads = load_road_network(path)
+    roads = load_road_network(map_of(town))
     assert (roads.signals["kind"] == LIGHT).sum() == lights
     assert len(roads.stop_lines) == lines
     assert set(roads.stop_lines["signal"].tolist()) >= set(np.flatnonzero(roads.signals["kind"] == LIGHT).tolist())

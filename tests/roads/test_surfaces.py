@@ -1,4 +1,4 @@
-"""Surfaces of roads: the pieces of lanes, where stop lines are, and what junctions enclose."""
+"""Surfaces of roads: the pieces of lanes, where stop lines and crossings are, and what junctions enclose."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import RecapWarning
-from carla_recap.roads import barriers, lanes, surfaces
+from carla_recap.roads import barriers, lanes, stop_lines, surfaces
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.surfaces import build_network
+from tests.roads import towns
 from tests.roads.straight_road import STRAIGHT_ROAD
 
 if TYPE_CHECKING:
@@ -135,3 +136,49 @@ def test_a_sign_is_for_the_range_of_its_lanes(lanes: tuple[int, int], limits: li
         f'<validity fromLane="{lanes[1]}" toLane="{lanes[0]}"/></signal>'
     )
     assert limits_at(signal, [(60, EAST), (40, WEST)]) == limits
+
+
+@pytest.mark.parametrize("shape", ["<line/>", '<arc curvature="0.02"/>'])
+def test_the_corners_of_a_crossing_may_be_along_the_road(shape: str) -> None:
+    offset = '<laneOffset s="0" a="1.5" b="0" c="0" d="0"/>'  # the corners are beside the reference line
+    sections = offset + towns.section(0, towns.lane(1), towns.lane(-1))
+    content = read_opendrive(towns.opendrive(towns.road(shape=shape, sections=sections, inside=towns.crossing_by_road(50))))
+    (along,), (outline,) = content.roads, TownRoads(content).crossings
+    corners = ((48, -4), (52, -4), (52, 4), (48, 4), (48, -4))
+    assert outline == pytest.approx(np.array([along.at(*corner)[0] for corner in corners]))
+
+
+def test_all_corners_of_a_crossing_are_read() -> None:
+    turns = np.linspace(0, 2 * np.pi, 150)
+    corners = "".join(f'<cornerLocal u="{3 * np.cos(turn)}" v="{3 * np.sin(turn)}" z="0"/>' for turn in turns)
+    thing = f'<object id="1" type="crosswalk" s="50" t="0" hdg="0"><outline>{corners}</outline></object>'
+    inside = f"<objects>{thing}</objects>"
+    (outline,) = TownRoads(read_opendrive(towns.opendrive(towns.road(inside=inside)))).crossings
+    assert len(outline) == 150
+
+
+def test_painted_lines_beyond_the_limit_warn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_lines, "_MOST_LINES", 1)
+    painted = towns.painted_stop(50, -1.75, 3.5)
+    content = read_opendrive(towns.opendrive(towns.road(1, inside=painted), towns.road(2, y=50, inside=painted)))
+    with pytest.warns(RecapWarning, match="of 2 painted stop lines, 1 are drawn"):
+        found, _ = stop_lines.drawn_stop_lines(content.roads)
+    assert np.shape(found) == (1, 2, 3)
+
+
+def test_signals_beyond_the_limit_warn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_lines, "_MOST_LINES", 1)
+    sign = towns.stop_sign(50, -1, -1)
+    signs = sign, sign.replace('id="7"', 'id="8"')
+    content = read_opendrive(towns.opendrive(*(towns.road(id, y=50 * id, inside=each) for id, each in enumerate(signs))))
+    with pytest.warns(RecapWarning, match="signals from 8 on are left out: those before have 1 stop lines"):
+        signals, lines, ids = stop_lines.signal_tables(content.roads)
+    assert (len(signals), len(lines), ids) == (1, 1, ("7",))
+
+
+def test_places_of_a_signal_beyond_the_limit_warn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_lines, "_MOST_PLACES", 1)
+    sign = towns.stop_sign(50, -1, -1)
+    content = read_opendrive(towns.opendrive(*(towns.road(id, y=50 * id, inside=sign) for id in (1, 2))))
+    with pytest.warns(RecapWarning, match="of 2 places of signal 7, 1 are looked at"):
+        stop_lines.signal_tables(content.roads)

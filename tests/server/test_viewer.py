@@ -1,12 +1,13 @@
-"""The live view of a server, without a display: written to an .rrd, and read and pictured from there."""
+"""Live views of a server: Rerun's, without a display, and Foxglove's, for a client of the real protocol."""
 
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import carla
 import pytest
@@ -14,18 +15,17 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.server.viewer import ViewerProcess
 from tests.cli.command import ENVIRONMENT, error
-from tests.server.client import SYNCHRONOUS, connect, serving
+from tests.server.client import SYNCHRONOUS, connect, serving, spawn
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-
 
 @pytest.fixture(scope="module")
 def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hero comes, and drives until it hits something."""
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     path = tmp_path_factory.mktemp("live") / "live.rrd"
     with serving("--rerun-to", path) as (process, port):
         world = connect(port).get_world()
@@ -84,6 +84,7 @@ def test_it_is_what_an_export_holds(rrd: Path) -> None:
 
 
 def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delitem(ENVIRONMENT, name, raising=False)
         monkeypatch.delenv(name, raising=False)
@@ -94,6 +95,7 @@ def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_it_cannot_be_written_to(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     (tmp_path / "live.rrd").touch()
     for to, reason in (("live.png", "an .rrd, or the address of a viewer"), (str(tmp_path / "live.rrd"), "exists already")):
         with pytest.raises(RecapError, match=rf"^{re.escape(to)}: .*{reason}"):
@@ -109,3 +111,42 @@ def test_without_what_it_needs_it_says_so(module: str, options: tuple[str, ...],
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert f"pip install '.[{extra}]'" in done.stderr
+
+
+@pytest.fixture
+def foxglove() -> Any:
+    """Foxglove's server and its client."""
+    pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
+    pytest.importorskip("tornado", reason="tornado is not installed")
+    from carla_recap.show.foxglove.websocket import FoxgloveServer
+    from tests.show import foxglove_client
+
+    return FoxgloveServer, foxglove_client
+
+
+def test_a_viewer_sees_what_a_client_does(foxglove: Any) -> None:
+    _, client = foxglove
+    with serving("--fps", 20, "--foxglove-port", 0) as (process, port):
+        hero = spawn(connect(port).get_world(), role_name="hero")
+        assert process.stdout is not None
+        with client.connected(process.stdout.readline().strip()) as viewer:
+            found = viewer.latest("/map", "/hero", "/scene/vehicles")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    assert client.decoded(viewer, "/hero", found["/hero"]).id == hero.id
+    assert [entity.id for entity in client.decoded(viewer, "/scene/vehicles", found["/scene/vehicles"]).entities] == [
+        f"actor {hero.id}"
+    ]
+    assert len(client.decoded(viewer, "/map", found["/map"]).entities) > 1
+
+
+def test_what_is_shown_in_one_viewer_only() -> None:
+    expected = "--foxglove or --rerun was expected, not both."
+    assert expected in error("serve", "--port", 0, "--foxglove", "--rerun-to", "live.rrd")
+
+
+def test_a_port_in_use_is_an_error_before_the_server_starts(foxglove: Any) -> None:
+    with foxglove[0]("first", 0) as server:
+        port = server.address.rpartition(":")[2]
+        assert error("serve", "--port", 0, "--foxglove-port", port).endswith("Address already in use")

@@ -75,6 +75,11 @@ def flat_world(**town: Any) -> World:
     return World(flat_town(**town), seed=1, date=0)
 
 
+def lit_world() -> World:
+    """Return a world with two lights, of which one is green at a time."""
+    return flat_world(signals=[light(0, (0,)), light(1, (0,), y=-3.0)], phases=((0,), (1,)))
+
+
 def at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = 0.0) -> Transform:
     return Transform(Location(x, y, z), Rotation(yaw=yaw))
 

@@ -36,16 +36,12 @@ from carla_recap.sim.recording.recorder import recording_path, recordings_folder
 from carla_recap.sim.recording.writer_process import RecordingWriter
 from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.world import World
-from tests.sim.flat import at, flat_town, flat_world, light, spawn_car, spawn_walker
+from tests.sim.flat import at, flat_town, flat_world, lit_world, spawn_car, spawn_walker
 from tests.sim.recordings import disk_of, frames, record, run_until_it_fails, writer_pid
 from tests.waiting import PATIENCE, is_running, time_limit, wait_until
 
 if TYPE_CHECKING:
     from carla_recap.model.frame import Frame
-
-
-def lit_world() -> World:
-    return flat_world(signals=[light(0, (0,)), light(1, (0,), y=-3.0)], phases=((0,), (1,)))
 
 
 def command(script: str, *arguments: object) -> list[str]:

@@ -159,16 +159,19 @@ def with_collision(path: Path, other: int, *spawns: Spawn) -> Path:
     return path
 
 
-def test_a_recorded_collision_with_an_unknown_actor_is_left_out(tmp_path: Path) -> None:
-    assert collisions(replayed(with_collision(tmp_path / "odd.mcap", 9)), 10) == {}
+LIGHT = Spawn(9, ActorKind.TRAFFIC_LIGHT, type_id="traffic.traffic_light")
 
 
-def test_a_static_object_has_the_id_0_before_carla_0_9_13(tmp_path: Path) -> None:
-    ((tick, (event,)),) = collisions(replayed(with_collision(tmp_path / "old.mcap", 0)), 10).items()
-    assert (tick, event.actor1, event.actor2) == (1, 7, None)
-
-
-def test_a_light_that_the_town_does_not_have_is_a_barrier(tmp_path: Path) -> None:
-    light = Spawn(9, ActorKind.TRAFFIC_LIGHT, type_id="traffic.traffic_light")
-    ((tick, (event,)),) = collisions(replayed(with_collision(tmp_path / "light.mcap", 9, light)), 10).items()
-    assert (tick, event.actor1, event.actor2) == (1, 7, None)
+@pytest.mark.parametrize(
+    ("other", "spawns", "expected"),
+    [
+        (9, (), []),  # an unknown actor
+        (0, (), [(1, 7, None)]),  # a static object before CARLA 0.9.13
+        (9, (LIGHT,), [(1, 7, None)]),  # a light that the town does not have
+    ],
+)
+def test_a_recorded_collision_with_what_is_not_there_is_one_with_a_barrier_or_none(
+    tmp_path: Path, other: int, spawns: tuple[Spawn, ...], expected: list[tuple[int, int, int | None]]
+) -> None:
+    found = collisions(replayed(with_collision(tmp_path / "odd.mcap", other, *spawns)), 10)
+    assert [(tick, each.actor1, each.actor2) for tick, events in found.items() for each in events] == expected

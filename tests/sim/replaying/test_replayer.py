@@ -25,7 +25,7 @@ from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town
 from tests.samples import carla_log
-from tests.sim.flat import at, flat_world, light, spawn_car, spawn_walker
+from tests.sim.flat import at, flat_world, lit_world, spawn_car, spawn_walker
 from tests.sim.recordings import frames, record
 
 if TYPE_CHECKING:
@@ -35,11 +35,6 @@ if TYPE_CHECKING:
 
 DELTA = 0.05
 AUDI = "vehicle.audi.tt"
-SIGNALS: dict[str, Any] = {"signals": [light(0, (0,)), light(1, (0,), y=-3.0)], "phases": ((0,), (1,))}
-
-
-def new_world() -> World:
-    return flat_world(**SIGNALS)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +43,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     The ids are 4, 5, 6, 7, and 8 from 2 s to 6 s; the spectator has 1, the lights have 2 and 3.
     """
-    world = new_world()
+    world = lit_world()
     hero = spawn_car(world, at(20.0), AUDI, role_name="hero", color="1,2,3")
     rider = spawn_car(world, at(60.0, 8.0), "vehicle.kawasaki.ninja")
     walker = spawn_walker(world, at(80.0, 4.0, z=0.9), "walker.pedestrian.0002")
@@ -121,7 +116,7 @@ def yaw_between(a: Any, b: Any) -> Any:
 def test_a_replay_that_is_recorded_is_the_recording(tmp_path: Path, drive: Path, suffix: str) -> None:
     source = tmp_path / f"a{suffix}"
     carla_recap.convert(drive, source)
-    world = new_world()
+    world = lit_world()
     world.replay_file(source)
     world.start_recorder(tmp_path / f"b{suffix}", True)
     assert play_out(world) == 200
@@ -142,7 +137,7 @@ def test_a_replay_that_is_recorded_is_the_recording(tmp_path: Path, drive: Path,
 
 
 def test_a_replay_from_the_middle_is_the_recording_from_there(tmp_path: Path, drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     replay = world.replay_file(drive, start=5.0, duration=2.0)
     assert (replay.map_name, replay.loaded, replay.start, replay.duration) == ("Flat", False, 5.0, 2.0)
     assert (replay.path, replay.followed, replay.time_factor) == (drive, None, 1.0)
@@ -175,18 +170,18 @@ def _agree(then: Frame, now: Frame, ids: Any) -> None:
 
 
 def test_a_start_may_count_from_the_end(drive: Path) -> None:
-    assert new_world().replay_file(drive, start=-2.0).start == pytest.approx(7.95)
-    assert new_world().replay_file(drive, start=-20.0).start == 0
+    assert lit_world().replay_file(drive, start=-2.0).start == pytest.approx(7.95)
+    assert lit_world().replay_file(drive, start=-20.0).start == 0
     with pytest.raises(RecapError, match="nothing at 20 s"):
-        new_world().replay_file(drive, start=20.0)
+        lit_world().replay_file(drive, start=20.0)
 
 
 def test_between_frames_poses_are_interpolated_unless_time_flies(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.replay_file(drive, start=5.0)
     world.tick(DELTA / 2)
     assert played(world, 4).transform.location.x == pytest.approx(x_at(drive, 5.0 + DELTA / 2), abs=1e-3)
-    world = new_world()
+    world = lit_world()
     world.replayer.time_factor = 20.0
     assert world.replay_file(drive).time_factor == 20
     seen = []
@@ -199,7 +194,7 @@ def test_between_frames_poses_are_interpolated_unless_time_flies(drive: Path) ->
 
 
 def test_the_time_factor_can_change_on_the_way(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.replay_file(drive)
     for factor, ticks in ((0.5, 40), (1.5, 40), (0.0, 20), (1.0, 20)):
         world.replayer.time_factor = factor
@@ -213,7 +208,7 @@ def test_the_time_factor_can_change_on_the_way(drive: Path) -> None:
 
 
 def test_the_spectator_stays_unless_it_is_asked_for(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.spectator.transform = at(1.0, 2.0, z=3.0)
     play(world, drive, 100)
     assert world.spectator.transform == at(1.0, 2.0, z=3.0)
@@ -226,7 +221,7 @@ def test_the_spectator_stays_unless_it_is_asked_for(drive: Path) -> None:
 
 @pytest.mark.parametrize("follow", [4, "hero", 0])
 def test_the_spectator_follows(drive: Path, follow: Any) -> None:
-    world = new_world()
+    world = lit_world()
     assert world.replay_file(drive, follow=follow).followed == (4 if follow else None)
     for _ in range(50 if follow else 0):
         world.tick()
@@ -238,7 +233,7 @@ def test_the_spectator_follows(drive: Path, follow: Any) -> None:
 
 
 def test_an_actor_to_follow_that_does_not_exist_is_an_error(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     with pytest.raises(RecapError, match="no actor 99 to follow"):
         world.replay_file(drive, follow=99)
     assert not world.replayer.is_playing
@@ -247,10 +242,10 @@ def test_an_actor_to_follow_that_does_not_exist_is_an_error(drive: Path) -> None
 
 @pytest.mark.parametrize("role", ["hero", "autopilot"])
 def test_sensors_come_when_they_are_asked_for_and_not_without_their_vehicle(tmp_path: Path, role: str) -> None:
-    world, place = new_world(), Transform(Location(1.0, 0.0, 2.0))
+    world, place = lit_world(), Transform(Location(1.0, 0.0, 2.0))
     world.spawn("sensor.other.collision", place, parent=spawn_car(world, at(20.0), AUDI, role_name=role))
     record(world, tmp_path / "a.log", 20)
-    world = new_world()
+    world = lit_world()
     play(world, tmp_path / "a.log", 5)
     assert 5 not in world.replayer.mapping
     world.replayer.ignore_hero = True
@@ -266,7 +261,7 @@ def test_sensors_come_when_they_are_asked_for_and_not_without_their_vehicle(tmp_
 
 
 def test_actors_are_spawned_with_what_they_had(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     play(world, drive, 1)
     assert world.replayer.mapping == {2: 2, 3: 3, 4: 4, 5: 5, 6: 6, 7: 7}
     hero = played(world, 4)
@@ -277,7 +272,7 @@ def test_actors_are_spawned_with_what_they_had(drive: Path) -> None:
 
 
 def test_an_actor_of_the_same_id_and_blueprint_is_moved_and_others_are_not(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     mine = spawn_car(world, at(500.0), AUDI)
     wrong = spawn_car(world, at(510.0), AUDI)
     play(world, drive, 10)
@@ -321,7 +316,7 @@ def recording_of_vehicles(path: Path, *ids: int) -> Path:
 def test_actors_have_their_recorded_ids_unless_these_are_taken(
     tmp_path: Path, ids: tuple[int, ...], given: tuple[int, ...]
 ) -> None:
-    world = new_world()
+    world = lit_world()
     assert world.spawn("static.prop.barrel", at(500.0)).id == 4
     play(world, recording_of_vehicles(tmp_path / "a.log", *ids), 1)
     assert world.replayer.mapping == dict(zip(ids, given, strict=True))
@@ -359,7 +354,7 @@ def test_pedestrians_walk_whatever_the_order_of_their_ids() -> None:
 
 
 def test_an_actor_that_is_destroyed_in_the_recording_is_destroyed(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     play(world, drive, 60)
     guest = played(world, 8)
     for _ in range(60):
@@ -384,7 +379,7 @@ def test_a_replay_goes_on_when_a_parent_is_destroyed_whose_child_is_still_record
                 doors=[(10, 0, True)] if at_10 else [],
                 transforms={"id": [9, 10, 11], "x": [1000.0, 1000.0, 1000.0]},
             )
-    world = new_world()
+    world = lit_world()
     world.replay_file(tmp_path / "a.log")
     attached = played(world, 10)
     world.run(0.5)
@@ -395,7 +390,7 @@ def test_a_replay_goes_on_when_a_parent_is_destroyed_whose_child_is_still_record
 
 
 def test_actors_that_come_and_go_between_two_ticks_leave_nothing_behind(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.replayer.time_factor = 100.0
     world.replay_file(drive, start=1.5)
     world.tick()  # from 1.5 s to 6.5 s: actor 8 has come and gone
@@ -421,7 +416,7 @@ def test_unknown_blueprints_have_substitutes(tmp_path: Path, type_id: str, kind:
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
         recording.add_frame(0, spawned=[spawn], bounding_boxes={"id": 9, "extent_x": 150, "extent_y": 70, "extent_z": 80})
         recording.add_frame(1, transforms={"id": 9, "x": 5500.0})
-    world = new_world()
+    world = lit_world()
     play(world, tmp_path / "a.log", 10)
     actor = played(world, 9)
     assert actor.type_id == type_id
@@ -447,7 +442,7 @@ def test_lights_are_the_nearest_ones_and_show_what_is_recorded(tmp_path: Path) -
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
         for second in range(11):
             recording.add_frame(second, spawned=spawns if second == 0 else [], light_states=states)
-    world = new_world()
+    world = lit_world()
     play(world, tmp_path / "a.log", 100)
     left, right = world.traffic_lights
     assert world.replayer.mapping == {31: right.id, 32: left.id}
@@ -463,7 +458,7 @@ def test_lights_are_the_nearest_ones_and_show_what_is_recorded(tmp_path: Path) -
 
 
 def test_the_front_wheels_of_a_replayed_vehicle_follow_the_recording(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     play(world, drive, 1, start=1.0)
     vehicles = world.vehicles
     np.testing.assert_allclose(vehicles.wheel_angle, vehicles.steer * vehicles.tables.of(vehicles.table).full_lock)
@@ -471,7 +466,7 @@ def test_the_front_wheels_of_a_replayed_vehicle_follow_the_recording(drive: Path
 
 
 def test_a_vehicle_in_the_way_is_pushed_and_does_not_push_back(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     victim = spawn_car(world, at(40.0, -1.0), "vehicle.audi.a2", role_name="hero")
     world.run(2.0)
     world.replay_file(drive)
@@ -482,7 +477,7 @@ def test_a_vehicle_in_the_way_is_pushed_and_does_not_push_back(drive: Path) -> N
         here = played(world, 4).transform.location
     assert victim.transform.location.x > begin + 3
     assert {(c.actor1, c.actor2) for c in collisions} >= {(victim.id, played(world, 4).id)}
-    undisturbed = new_world()
+    undisturbed = lit_world()
     play(undisturbed, drive, 150)
     assert here.distance(played(undisturbed, 4).transform.location) < 1e-6
 
@@ -493,7 +488,7 @@ def test_a_jump_pushes_no_vehicle_on_its_way(tmp_path: Path) -> None:
         for frame in range(20):
             x = 1000.0 if frame < 10 else 30_000.0
             recording.add_frame(frame * DELTA, spawned=[spawn] if not frame else [], transforms={"id": 9, "x": x})
-    world = new_world()
+    world = lit_world()
     standing = spawn_car(world, at(100.0), AUDI)
     world.run(1.0)
     play(world, tmp_path / "a.log", 15)
@@ -502,7 +497,7 @@ def test_a_jump_pushes_no_vehicle_on_its_way(tmp_path: Path) -> None:
 
 
 def test_bodies_stay_with_their_actors_whatever_a_client_does_to_these(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.replay_file(drive, 1.0)
     world.run(0.5)
     hero = next(actor for actor in world.vehicles.actors if actor.is_hero)
@@ -516,7 +511,7 @@ def test_bodies_stay_with_their_actors_whatever_a_client_does_to_these(drive: Pa
 
 @pytest.mark.parametrize("id", [4, 6])
 def test_physics_that_is_switched_on_moves_no_replayed_actor(drive: Path, id: int) -> None:
-    world, alone = new_world(), new_world()
+    world, alone = lit_world(), lit_world()
     for each in (world, alone):
         play(each, drive, 20)
     for _ in range(20):
@@ -529,7 +524,7 @@ def test_physics_that_is_switched_on_moves_no_replayed_actor(drive: Path, id: in
 
 @pytest.mark.parametrize("factor", [1.0, 0.5, 3.0])
 def test_at_the_end_vehicles_go_on_by_autopilot_and_walkers_stop(drive: Path, factor: float) -> None:
-    world = new_world()
+    world = lit_world()
     world.replayer.time_factor = factor
     world.replay_file(drive, duration=5.0)
     play_out(world)
@@ -547,7 +542,7 @@ def test_at_the_end_vehicles_go_on_by_autopilot_and_walkers_stop(drive: Path, fa
 
 @pytest.mark.parametrize("suffix", [".mcap", ".log"])
 def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path, suffix: str) -> None:
-    world = new_world()
+    world = lit_world()
     hero = spawn_car(world, at(20.0), "vehicle.lincoln.mkz_2017", role_name="hero")
     gears = [Gear(4.0, 0.2, 0.4), Gear(2.0, 0.2, 0.4)]
     hero.physics_control = replace(hero.physics_control, mass=5000.0, forward_gears=gears)
@@ -556,7 +551,7 @@ def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path,
     driven: list[tuple[float, int]] = []
     world.listeners.append(lambda: driven.append((hero.rows.engine[0], hero.control.gear)))
     record(world, path, 160, additional_data=True)
-    way, again = way_of(path, hero.id), new_world()
+    way, again = way_of(path, hero.id), lit_world()
     again.replay_file(path, duration=4.0)
     play_out(again)
     mine = played(again, hero.id)
@@ -571,7 +566,7 @@ def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path,
 
 
 def test_stopping_takes_back_what_was_spawned_or_keeps_it(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     mine = spawn_car(world, at(500.0), AUDI)
     play(world, drive, 60)
     guest = played(world, 8)
@@ -591,7 +586,7 @@ def test_stopping_takes_back_what_was_spawned_or_keeps_it(drive: Path) -> None:
 
 
 def test_actors_that_were_kept_play_the_same_recording_again(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     taken = spawn_car(world, at(500.0))  # with the id of the hero
     assert taken.id == 4
     play(world, drive, 20, duration=1.0)
@@ -607,7 +602,7 @@ def test_actors_that_were_kept_play_the_same_recording_again(drive: Path) -> Non
 
 
 def test_a_new_replay_ends_the_one_before_and_a_recording(tmp_path: Path, drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.start_recorder(tmp_path / "a.log")
     world.run(1.0)
     with pytest.warns(RecapWarning, match=r"a\.log: ends here: a replay begins"):
@@ -624,7 +619,7 @@ def test_a_new_replay_ends_the_one_before_and_a_recording(tmp_path: Path, drive:
 
 
 def test_the_autopilot_drives_one_vehicle_while_the_others_follow_the_recording(drive: Path) -> None:
-    world, beside = new_world(), new_world()
+    world, beside = lit_world(), lit_world()
     play(world, drive, 60)
     play(beside, drive, 60)
     hero = played(world, 4)
@@ -648,7 +643,7 @@ def test_the_autopilot_drives_one_vehicle_while_the_others_follow_the_recording(
 
 
 def test_a_vehicle_that_gets_the_autopilot_at_the_start_has_its_recorded_speed(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     world.replay_file(drive, start=5.0)
     hero = played(world, 4)
     hero.set_autopilot()
@@ -658,7 +653,7 @@ def test_a_vehicle_that_gets_the_autopilot_at_the_start_has_its_recorded_speed(d
 
 
 def test_a_vehicle_that_is_released_obeys_its_control(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     play(world, drive, 60, follow="hero")
     hero = played(world, 4)
     world.replayer.release(hero)
@@ -676,7 +671,7 @@ def test_a_vehicle_that_is_released_obeys_its_control(drive: Path) -> None:
 
 
 def test_a_new_episode_ends_the_replay(drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     play(world, drive, 10)
     world.reload()
     assert not world.replayer.is_playing
@@ -691,7 +686,7 @@ def test_a_new_episode_ends_the_replay(drive: Path) -> None:
 def test_a_recording_is_found_by_its_name(tmp_path: Path, drive: Path) -> None:
     shutil.copy(drive, tmp_path / "one.mcap")
     carla_recap.convert(drive, tmp_path / "two.log")
-    world = World(new_world().town, recordings=tmp_path)
+    world = World(lit_world().town, recordings=tmp_path)
     for name, found in (("one", "one.mcap"), ("two", "two.log"), ("two.log", "two.log"), (str(tmp_path / "two"), "two.log")):
         assert world.replay_file(name).path == tmp_path / found
     with pytest.raises(RecapError, match="absent: No such file"):
@@ -706,7 +701,7 @@ def test_a_recording_of_an_unknown_map_replays_on_its_corridors(
 ) -> None:
     monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
     path = of_another_map(drive, tmp_path / "a.mcap")
-    world = new_world()
+    world = lit_world()
     with pytest.warns(RecapWarning, match=r"a\.mcap: there is no map 'Town42' in the folder"):
         replay = world.replay_file(path)
     assert replay.loaded
@@ -727,7 +722,7 @@ def test_a_recording_of_an_unknown_map_replays_on_its_corridors(
 
 def test_each_recording_of_an_unknown_map_has_its_own_corridors(tmp_path: Path, drive: Path) -> None:
     first, second = (of_another_map(drive, tmp_path / name) for name in ("a.mcap", "b.mcap"))
-    world = new_world()
+    world = lit_world()
     with pytest.warns(RecapWarning):
         world.replay_file(first)
     with pytest.warns(RecapWarning, match=r"b\.mcap"):
@@ -737,14 +732,14 @@ def test_each_recording_of_an_unknown_map_has_its_own_corridors(tmp_path: Path, 
 def test_a_recording_of_an_unknown_map_without_vehicles_has_a_road(tmp_path: Path) -> None:
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Carla/Maps/Town42", date=0) as recording:
         recording.add_frame(0)
-    world = new_world()
+    world = lit_world()
     with pytest.warns(RecapWarning, match="Town42"):
         world.replay_file(tmp_path / "a.log")
     assert len(world.town.lanes) == 1
 
 
 def test_a_map_that_the_caller_names_must_be_there(tmp_path: Path, drive: Path) -> None:
-    world = new_world()
+    world = lit_world()
     mine = spawn_car(world, at(500.0), AUDI)
     with pytest.raises(SimError, match=r"is a recording of the map 'Town42', which cannot be loaded: .*Town42"):
         next(world.replayer.begin(world.replayer.open(drive), world.reload, map_name="Town42"))
@@ -791,7 +786,7 @@ def test_a_recording_that_turns_out_to_be_damaged_ends_the_replay(drive: Path, m
     def fail(self: Player, delta: float) -> None:
         raise FormatError(drive, 1234, "a chunk is damaged")
 
-    world = new_world()
+    world = lit_world()
     play(world, drive, 10)
     hero = played(world, 4)
     monkeypatch.setattr(Player, "tick", fail)
@@ -818,7 +813,7 @@ def test_records_that_are_out_of_range_are_left_out(tmp_path: Path, bad: float) 
             rows = {"id": [1, 9, 10, 11, 12], "x": [x, x, 2 * x, bad, bad if not frame else 5000.0]}
             others = {"weather": {"cloudiness": [bad * 1e6]}, "doors": {"id": [9], "door": [200], "open": [1]}}
             recording.add_frame(frame * DELTA, spawned=spawns * (not frame), transforms=rows, **others)
-    world = new_world()
+    world = lit_world()
     world.replayer.ignore_spectator = False
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
@@ -860,7 +855,7 @@ def test_a_released_vehicle_drives_on_as_it_did(tmp_path: Path, model: str, cont
         world.tick()
         driven.append((car.velocity.length(), car.transform.rotation.yaw))
     world.close()
-    again = new_world()
+    again = lit_world()
     play(again, tmp_path / "a.log", round(seconds / DELTA) - 1)
     car = played(again, car.id)
     again.replayer.release(car)

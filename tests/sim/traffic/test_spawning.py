@@ -42,10 +42,15 @@ def test_the_seed_determines_actors_and_places(town):
 
 
 def test_more_vehicles_than_there_is_room_for_are_an_error(town):
-    world = World(town, date=0)
+    world, place = World(town, date=0), Location(120, -110, 0)
     before = len(world.actors)
-    with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 100000 were expected"):
-        populate(world, 100_000, 0)
+    for vehicles, around in ((100_000, None), (200, place)):
+        with pytest.raises(SimError, match=rf"Brickfield has room for \d+ more vehicles, {vehicles} were expected"):
+            populate(world, vehicles, 0, around=around)
+    with pytest.raises(SimError, match="Brickfield has no sidewalk within 80 m of"):
+        populate(world, 0, 1, around=Location(5000, 0, 0))
+    with pytest.raises(SimError, match="Flat has no place for a vehicle: no lanes for cars that lead anywhere"):
+        populate(flat_world(lanes=[lane(junction=1)]), 1, 0)
     assert len(world.actors) == before
 
 
@@ -56,23 +61,10 @@ def test_traffic_around_a_location(town):
     assert all(walker.destination.distance(place) < 81 for walker in cast[12:])
 
 
-def test_there_is_less_room_around_a_location(town):
-    with pytest.raises(SimError, match=r"Brickfield has room for \d+ more vehicles, 200 were expected"):
-        populate(World(town, date=0), 200, 0, around=Location(120, -110, 0))
-    with pytest.raises(SimError, match="Brickfield has no sidewalk within 80 m of"):
-        populate(World(town, date=0), 0, 1, around=Location(5000, 0, 0))
-
-
 @pytest.mark.parametrize("counts", [(-1, 0), (0, -1), (float("nan"), 0)])
 def test_negative_and_fractional_numbers_are_errors(counts: tuple[int, int]) -> None:
     with pytest.raises(SimError, match="expected 0 or a larger whole number"):
         populate(flat_world(), *counts)
-
-
-def test_a_town_without_connected_lanes_is_an_error() -> None:
-    world = flat_world(lanes=[lane(junction=1)])
-    with pytest.raises(SimError, match="Flat has no place for a vehicle: no lanes for cars that lead anywhere"):
-        populate(world, 1, 0)
 
 
 def test_walkers_for_which_there_is_no_room_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
@@ -82,9 +74,8 @@ def test_walkers_for_which_there_is_no_room_are_left_out_with_a_warning(caplog: 
     for number in range(3):
         world.spawn("static.prop.container", at(10.0 * number, 5.0))
     assert len(populate(world, 2, 20)) == 2
-    assert caplog.messages == ["Flat has room for 0 more walkers, 20 were expected"]
-
-
-def test_without_sidewalks_there_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     assert len(populate(flat_world(), 2, 5)) == 2
-    assert caplog.messages == ["Flat has no sidewalks, 5 walkers were expected"]
+    assert caplog.messages == [
+        "Flat has room for 0 more walkers, 20 were expected",
+        "Flat has no sidewalks, 5 walkers were expected",
+    ]
