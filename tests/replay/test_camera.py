@@ -43,6 +43,7 @@ def test_arrays_of_poses() -> None:
 def test_the_heading_begins_at_the_actor() -> None:
     assert calm_heading(70.0, None, 0.1) == 70
     assert calm_heading(70.0, math.nan, 0.1) == 70
+    assert calm_heading(math.inf, 70.0, 0.1) == math.inf
 
 
 def test_two_thirds_of_a_turn_in_half_a_second() -> None:

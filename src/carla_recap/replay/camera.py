@@ -78,7 +78,7 @@ def calm_heading(yaw: float, previous: float | None, delta: float, seconds: floa
         delta: Seconds since then.
         seconds: The time constant: two thirds of a turn are done after this time.
     """
-    if previous is None or not math.isfinite(previous):
+    if previous is None or not math.isfinite(yaw - previous):
         return yaw
     share = -math.expm1(-max(delta, 0.0) / seconds) if seconds > 0 else 1.0
     return math.remainder(previous + share * math.remainder(yaw - previous, 360), 360)
