@@ -1,20 +1,27 @@
-"""The command line, as a shell and a terminal see it, in processes that are forked off one that has imported it."""
+"""The command line, as a shell and a terminal see it, in this process: to start Python anew takes longer than commands."""
 
 from __future__ import annotations
 
+import logging
 import os
 import pty
 import re
 import subprocess
 import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
+from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
+from unittest.mock import patch
 
-from tests.cli.fork_server import ForkServer
+from carla_recap import cli
+from carla_recap.errors import RecapWarning
 from tests.samples import SAMPLES
-from tests.waiting import PATIENCE, time_limit
+from tests.waiting import PATIENCE
 
 COMMAND = Path(sys.executable).with_name("carla-recap")
 CROSSING = SAMPLES / "crossing.log"
@@ -25,6 +32,7 @@ ENVIRONMENT = {
     "TERM": "xterm",
     "COLUMNS": "120",
 }
+_USUAL = dict(ENVIRONMENT)
 
 Done = subprocess.CompletedProcess[bytes]
 
@@ -34,37 +42,83 @@ def before_others(folder: Path) -> str:
     return os.pathsep.join(filter(None, (str(folder), ENVIRONMENT.get("PYTHONPATH"))))
 
 
-@cache
-def _server() -> ForkServer:
-    return ForkServer(ENVIRONMENT)
-
-
 def run(*arguments: object, cwd: Path | None = None, **options: Any) -> Done:
-    """Run the command, with its output in pipes."""
+    """Run the command, with its output in pipes; in another process if there are options of one, or an environment."""
     words = [os.fspath(_as_path(each)) for each in arguments]
-    if options or _server().environment != ENVIRONMENT:
+    if options or ENVIRONMENT != _USUAL:
         options = {"env": ENVIRONMENT, "timeout": PATIENCE, "cwd": cwd, **options}
         options |= {} if options.keys() & {"input", "stdin"} else {"stdin": subprocess.DEVNULL}
         return subprocess.run([COMMAND, *words], capture_output=True, check=False, **options)
-    (out, out_end), (err, err_end) = os.pipe(), os.pipe()
-    command = _server().start(words, out_end, err_end, cwd)
-    with ThreadPoolExecutor(2) as threads:
-        printed = threads.map(_read, (out, err))
-        return Done(words, command.wait(PATIENCE), *printed)
+    with written(*os.pipe()) as (out, printed), written(*os.pipe()) as (err, said):
+        code = run_here(words, out, err, cwd)
+        return Done(words, code, printed(), said())
 
 
 def printed(*arguments: str) -> tuple[int, str]:
     """Run the command; return its exit code, and what it prints on stdout and stderr."""
-    pipe, end = os.pipe()
-    command = _server().start(list(arguments), end, end)
+    with written(*os.pipe()) as (end, text):
+        return run_here(list(arguments), end, end), text().decode()
+
+
+@contextmanager
+def written(ours: int, theirs: int) -> Iterator[tuple[int, Callable[[], bytes]]]:
+    """Yield the end to write to of a pipe or terminal, which is closed by whoever has it, and a function that reads all."""
     with ThreadPoolExecutor(1) as threads:
-        text = threads.submit(_read, pipe)
-        return command.wait(PATIENCE), text.result().decode()
+        yield theirs, threads.submit(_read, ours).result
+
+
+def run_here(words: list[Any], out: int, err: int, folder: Path | None = None) -> int:
+    """Run the command in this process, with its output in descriptors, which it closes; return its exit code."""
+    ensure_running()  # of multiprocessing, which would keep the descriptors
+    logger = logging.getLogger("carla_recap")
+    handlers, level = list(logger.handlers), logger.level
+    with ExitStack() as stack:
+        for each in {out, err}:
+            stack.callback(os.close, each)
+        stack.callback(lambda: (setattr(logger, "handlers", handlers), logger.setLevel(level)))
+        streams = [stack.enter_context(_replaced(number, each)) for number, each in ((1, out), (2, err))]
+        stack.enter_context(redirect_stdout(streams[0]))
+        stack.enter_context(redirect_stderr(streams[1]))
+        stack.enter_context(chdir(folder or Path.cwd()))
+        stack.enter_context(patch.dict(os.environ, ENVIRONMENT, clear=True))
+        stack.callback(time.tzset)
+        stack.enter_context(warnings.catch_warnings())
+        time.tzset()
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", RecapWarning)
+        warnings.showwarning = cli._print_warning
+        try:
+            return cli.run(words)
+        except SystemExit as ended:
+            return int(ended.code or 0)
+
+
+@contextmanager
+def _replaced(number: int, by: int) -> Iterator[TextIO]:
+    """Yield a stream to a descriptor, which has the number of another one in a `with` block."""
+    before = os.dup(number)
+    os.dup2(by, number)
+    try:
+        with open(number, "w", 1 if number == 2 else -1, "utf-8", closefd=False) as stream:
+            yield stream
+    finally:
+        os.dup2(before, number)
+        os.close(before)
 
 
 def _read(descriptor: int) -> bytes:
-    with open(descriptor, "rb") as file:
-        return file.read()
+    pieces = []
+    while piece := _piece(descriptor):
+        pieces.append(piece)
+    os.close(descriptor)
+    return b"".join(pieces)
+
+
+def _piece(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 1 << 16)
+    except OSError:  # of a terminal on Linux, when the other side is closed
+        return b""
 
 
 def answer(*arguments: object) -> str:
@@ -107,28 +161,9 @@ def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, b
         The exit code, the text on the terminal, and the bytes of the other stream.
     """
     words = [os.fspath(_as_path(each)) for each in arguments]
-    (ours, theirs), (pipe, pipe_end) = pty.openpty(), os.pipe()
-    streams = (theirs, pipe_end) if stream == "stdout" else (pipe_end, theirs)
-    command = _server().start(words, *streams)
-    with ThreadPoolExecutor(1) as threads:
-        other = threads.submit(_read, pipe)
-        shown = read_terminal(ours)
-        code = command.wait(PATIENCE)
-    os.close(ours)
-    return code, shown, other.result()
-
-
-def read_terminal(terminal: int) -> str:
-    pieces = []
-    with time_limit():
-        while True:
-            try:
-                piece = os.read(terminal, 1 << 16)
-            except OSError:  # Linux, when the other side is closed
-                piece = b""
-            if not piece:
-                return b"".join(pieces).decode().replace("\r\n", "\n")
-            pieces.append(piece)
+    with written(*pty.openpty()) as (terminal, shown), written(*os.pipe()) as (pipe, other):
+        code = run_here(words, *((terminal, pipe) if stream == "stdout" else (pipe, terminal)))
+        return code, shown().decode().replace("\r\n", "\n"), other()
 
 
 def _as_path(argument: object) -> str | bytes | os.PathLike[str]:

@@ -37,19 +37,9 @@ def done(tmp_path_factory):
     """A campaign in which a run fails and one breaks a rule, and its folder."""
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "rules.toml").write_text(RULES)
-    options = (
-        "--seeds",
-        "1,2",
-        "--param",
-        "how=raise,nothing",
-        "--rules",
-        folder / "rules.toml",
-        "--pages",
-        "1",
-        "--csv",
-        "--keep-going",
-    )
-    return run("campaign", f"{FILE}:misbehave", "--out", folder / "runs", *options, *ALONE), folder / "runs"
+    options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--rules", folder / "rules.toml")
+    options += ("--pages", "1", "--csv", "--keep-going", *ALONE)
+    return run("campaign", f"{FILE}:misbehave", "--out", folder / "runs", *options), folder / "runs"
 
 
 def test_all_runs_are_rows_with_their_parameters(done):
@@ -147,20 +137,8 @@ def test_wrong_arguments_are_one_line(tmp_path, arguments, message):
 
 
 def test_recordings_are_scored(tmp_path):
-    options = (
-        "--param",
-        "delay=4,6",
-        "--param",
-        "speed=1",
-        "--from-drive",
-        "--measure",
-        "score",
-        "--pages",
-        "0",
-        "--json",
-        *ALONE,
-    )
-    done = run("campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path)
+    options = ("--param", "delay=4,6", "--param", "speed=1", "--from-drive", "--measure", "score", "--json", *ALONE)
+    done = run("campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--pages", "0", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     scores = [each["results"]["score"]["value"] for each in json.loads(done.stdout)["runs"]]
     assert scores == [50.0, 100.0]
@@ -169,20 +147,9 @@ def test_recordings_are_scored(tmp_path):
 
 def test_a_search_finds_the_crash_of_the_sample(tmp_path):
     pytest.importorskip("optuna", reason="the extra `search` is not installed")
-    options = (
-        "--param",
-        "delay=4.5..6.0",
-        "--param",
-        "speed=1.5..2.5",
-        "--search",
-        "--maximize",
-        "collisions",
-        "--runs",
-        "8",
-    )
-    done = run(
-        "campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path, "--pages", "0", "--workers", "2"
-    )
+    options = ("--param", "delay=4.5..6.0", "--param", "speed=1.5..2.5", "--search", "--maximize", "collisions")
+    options += ("--runs", "8", "--pages", "0", "--workers", "2")
+    done = run("campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     assert ": crashed at 33 km/h, collisions 1 at " in done.stdout.decode().splitlines()[0]
     assert len(list(tmp_path.glob("*.mcap"))) == 8

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import re
 import shutil
 import signal
@@ -17,9 +18,9 @@ from carla_recap import create_recording, open_recording
 from carla_recap.output.table import cells
 from carla_recap.queries.summary import summary
 from carla_recap.roads import find_map
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, run_here, the_line, written
 from tests.samples import warnings_ignored
-from tests.waiting import PATIENCE, is_running, time_limit, wait_until
+from tests.waiting import is_running, time_limit, wait_until
 
 CRASH = CROSSING.with_name("crash.mcap")
 MAP = {"measures": ("--map", find_map("Brickfield"))}  # else a warning says that the map is unknown
@@ -174,24 +175,10 @@ def test_text_on_a_terminal_has_spaces_for_tabs(whole):
     assert shown == answer("info", "runs").replace("\t", "  ")
 
 
-def terminal_of_stderr(*arguments: object, stdout: int) -> str:
-    import pty
-
-    from tests.cli.command import read_terminal
-
-    ours, theirs = pty.openpty()
-    with subprocess.Popen([COMMAND, *map(str, arguments)], env=ENVIRONMENT, stdout=stdout, stderr=theirs) as process:
-        os.close(theirs)
-        shown = read_terminal(ours)
-        assert process.wait(PATIENCE) == 0
-    os.close(ours)
-    return shown
-
-
 def test_a_terminal_has_a_progress_bar_and_a_pipe_has_none(whole, tmp_path):
-    with (tmp_path / "out").open("wb") as file:
-        shown = terminal_of_stderr("incidents", "runs", stdout=file.fileno())
-    assert "3/3" in shown
+    with (tmp_path / "out").open("wb") as file, written(*pty.openpty()) as (terminal, shown):
+        run_here(["incidents", "runs"], os.dup(file.fileno()), terminal)
+        assert b"3/3" in shown()
     assert (tmp_path / "out").read_text() == answer("incidents", "runs")
     code, shown, _ = on_terminal("incidents", "runs", stream="stderr")
     assert (code, shown) == (0, "")
@@ -261,14 +248,3 @@ def test_limits_of_near_misses_are_options():
         )
         assert value in {row["threshold"] for row in near["rows"]}
         assert option in error("incidents", CROSSING, option, "61")
-
-
-def test_the_reader_of_a_pipe_closes_it(whole):
-    with subprocess.Popen(
-        [COMMAND, "info", "--all", "runs", "--jobs", "2"], env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
-        process.stdout.read(100)
-        process.stdout.close()
-        messages = process.stderr.read()
-        assert process.wait(PATIENCE) in (-signal.SIGPIPE, 0)  # 0: the pipe had room for all
-    assert messages == b""

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import io
 import json
-import logging
+import os
+import pty
 import re
 import signal
 import subprocess
 import sys
-import warnings
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 import pytest
 
-from carla_recap import RecapWarning, cli, create_recording
+from carla_recap import cli, create_recording
 from carla_recap.cli.output import BAD_INPUT
 from carla_recap.output.terminal import TableColumn, print_table
-from tests.cli.command import CROSSING, wrote
+from tests.cli.command import CROSSING, ENVIRONMENT, run_here, written, wrote
 from tests.waiting import PATIENCE
 
 CRASH = CROSSING.with_name("crash.mcap")
@@ -28,28 +27,6 @@ WRITING = ("capture", "clip", "clips", "convert", "export", "import", "index", "
 WRITING += ("sense", "snapshot", "video")
 ASKING = ("actors", "blocked", "campaign", "check", "collisions", "diff", "doctor", "incidents", "info", "measures", "score")
 ASKING += ("sql", "summary")
-
-
-class Stream(io.TextIOWrapper):
-    """A stream in memory.
-
-    Args:
-        is_terminal: Whether it says that it is a terminal.
-    """
-
-    def __init__(self, is_terminal: bool) -> None:
-        super().__init__(io.BytesIO(), "utf-8", write_through=True)
-        self._is_terminal = is_terminal
-
-    def isatty(self) -> bool:
-        return self._is_terminal
-
-    def fileno(self) -> int:
-        return 2
-
-    @property
-    def text(self) -> str:
-        return self.buffer.getvalue().decode()
 
 
 class Done(NamedTuple):
@@ -60,29 +37,16 @@ class Done(NamedTuple):
 
 @pytest.fixture
 def invoke(monkeypatch, tmp_path):
-    """A function that runs a command in this process, in an empty folder."""
+    """A function that runs a command with both streams on terminals, or in pipes, in an empty folder."""
 
     def run(*arguments, terminal=False):
-        out, err = Stream(terminal), Stream(terminal)
-        logger = logging.getLogger("carla_recap")
-        handlers, level = list(logger.handlers), logger.level
-        with redirect_stdout(out), redirect_stderr(err), warnings.catch_warnings():
-            warnings.simplefilter("always", RecapWarning)
-            warnings.showwarning = cli._print_warning
-            try:
-                code = cli.run([str(argument) for argument in arguments])
-            except SystemExit as ended:
-                code = ended.args[0]
-            finally:
-                logger.handlers[:] = handlers
-                logger.setLevel(level)
-        return Done(code, out.text, err.text)
+        streams = pty.openpty if terminal else os.pipe
+        with written(*streams()) as (out, printed), written(*streams()) as (err, said):
+            code = run_here([str(argument) for argument in arguments], out, err)
+            return Done(code, *(text().decode().replace("\r\n", "\n") for text in (printed, said)))
 
     monkeypatch.chdir(tmp_path)
-    for name in ("NO_COLOR", "FORCE_COLOR"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setitem(ENVIRONMENT, "COLUMNS", "80")
     return run
 
 
@@ -178,21 +142,21 @@ def test_kinds_in_tables_have_colors(invoke):
 
 @pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
 def test_colors_are_switched_off(invoke, monkeypatch, name, value):
-    monkeypatch.setenv(name, value)
+    monkeypatch.setitem(ENVIRONMENT, name, value)
     assert not re.search("\x1b\\[[0-9;]*3[0-9]m", invoke("incidents", CRASH, terminal=True).out)
     assert invoke("info", "missing.log", terminal=True).err == "carla-recap: missing.log: No such file or directory\n"
 
 
 def test_a_pipe_gets_no_colors_unless_they_are_forced(invoke, monkeypatch):
     assert "\x1b" not in invoke("info", "missing.log").err
-    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setitem(ENVIRONMENT, "FORCE_COLOR", "1")
     assert "\x1b[31m" in invoke("info", "missing.log").err
-    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setitem(ENVIRONMENT, "NO_COLOR", "1")
     assert "\x1b" not in invoke("info", "missing.log").err
 
 
 def test_a_dumb_terminal_gets_no_progress(invoke, monkeypatch):
-    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setitem(ENVIRONMENT, "TERM", "dumb")
     done = invoke("convert", CROSSING, "out.mcap", terminal=True)
     assert wrote(done.err) == [done.err.removeprefix("wrote ").rpartition(", ")[0]]
 
@@ -226,7 +190,7 @@ def test_a_row_is_a_line_in_80_columns(invoke, command):
 def test_a_narrow_table_says_what_is_left_out(invoke, monkeypatch):
     narrow = lines_of(invoke("collisions", CRASH, terminal=True))
     assert "(Contact, Relative (m/s): in a wider terminal, or with --json)" in narrow
-    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setitem(ENVIRONMENT, "COLUMNS", "120")
     wide = lines_of(invoke("collisions", CRASH, terminal=True))
     assert "Relative (m/s)" in wide[1]
     assert not any("in a wider terminal" in line for line in wide)
@@ -250,6 +214,8 @@ def test_a_table_fits_in_any_terminal():
     ("arguments", "message"),
     [
         (["colisions"], "No such command 'colisions'. Did you mean 'collisions'? Try 'carla-recap --help'."),
+        (["sql", "index", "select 1", "--json", "--csv"], "--json and --csv: one of them was expected. "),
+        (["collisions", CROSSING, "--json", "--text"], "--json and --text: one of them was expected. "),
         (["info", CROSSING, "--jso"], "(Did you mean one of: '--jobs', '--json'?)"),
         (["snapshot", ".", "out.png", "--at", "3"], ".: is a folder; a recording was expected, a .log or .mcap file"),
         (

