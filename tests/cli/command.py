@@ -124,7 +124,7 @@ def _piece(descriptor: int) -> bytes:
 def answer(*arguments: object) -> str:
     """Run a command that succeeds without messages; return what it prints."""
     done = run(*arguments)
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert (done.returncode, done.stderr) == (0, b""), done
     return done.stdout.decode()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import sys
@@ -16,23 +15,33 @@ import carla_recap.rendering.renderer
 import carla_recap.roads.find
 import carla_recap.util.cache
 from carla_recap.cli.doctor import doctor as doctor_command
-from tests.cli.command import ENVIRONMENT, run
+from tests.cli.command import ENVIRONMENT, before_others, run
 
 BUILT_IN = "Brickfield"
 NO_CACHE = {"folder": None, "entries": 0, "bytes": 0, "error": None}
 
 
-def doctor(monkeypatch, **environment):
+def text(*options, **environment):
+    """Return what the command prints in an environment."""
+    done = CliRunner().invoke(doctor_command, options, env={name: str(value) for name, value in environment.items()})
+    assert (done.exit_code, done.stderr) == (0, "")
+    return done.stdout
+
+
+def doctor(**environment):
     """Return the JSON of the command in an environment."""
-    for name, value in environment.items():
-        monkeypatch.setitem(ENVIRONMENT, name, str(value))
-    done = run("doctor", "--json")
+    return json.loads(text("--json", **environment))
+
+
+def in_a_new_process(*options, **environment):
+    """Return what the command prints in an environment, in a process that has not drawn yet."""
+    done = run("doctor", *options, env=ENVIRONMENT | {name: str(value) for name, value in environment.items()})
     assert (done.returncode, done.stderr) == (0, b"")
-    return json.loads(done.stdout)
+    return done.stdout.decode()
 
 
-def test_versions_and_extras_are_those_of_the_packages(monkeypatch):
-    found = doctor(monkeypatch)
+def test_versions_and_extras_are_those_of_the_packages():
+    found = doctor()
     assert found["versions"]["carla-recap"] == carla_recap.__version__
     assert found["versions"]["python"] == ".".join(map(str, sys.version_info[:3]))
     assert {"pandas", "cameras", "server", "sql", "rerun"} <= set(found["extras"])
@@ -46,70 +55,58 @@ def test_what_is_missing_is_named_with_the_remedy(monkeypatch, tmp_path):
     metadata = next(file for file in files("carla-recap") if file.name == "METADATA").locate()
     shutil.copytree(metadata.parent, tmp_path / metadata.parent.name)
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
-    done = CliRunner().invoke(doctor_command, ["--json"])
-    assert done.exit_code == 0
-    found = json.loads(done.stdout)
+    found = doctor()
     assert found["extras"]["sql"] == {"duckdb": None, "pyarrow": None}
     assert found["versions"]["carla"] is None
-    text = CliRunner().invoke(doctor_command, []).stdout
-    assert re.search(r"^  sql +missing: \w+, \w+; pip install '\.\[sql\]'$", text, re.MULTILINE)
+    assert re.search(r"^  sql +missing: \w+, \w+; pip install '\.\[sql\]'$", text(), re.MULTILINE)
 
 
-def test_maps_are_listed_with_their_files(monkeypatch, tmp_path):
+def test_maps_are_listed_with_their_files(tmp_path):
     (tmp_path / "Somewhere.xodr").write_text("<OpenDRIVE/>")
-    maps = doctor(monkeypatch, CARLA_RECAP_MAPS=tmp_path)["maps"]
+    maps = doctor(CARLA_RECAP_MAPS=tmp_path)["maps"]
     assert maps["folder"] == str(tmp_path)
     assert maps["files"]["Somewhere"] == str(tmp_path / "Somewhere.xodr")
     assert BUILT_IN in maps["files"]
 
 
-def test_the_cache_has_a_folder_and_a_size(monkeypatch, tmp_path):
+def test_the_cache_has_a_folder_and_a_size(tmp_path):
     (tmp_path / "a.town").write_bytes(bytes(1000))
     (tmp_path / "other").write_bytes(bytes(1000))
-    assert doctor(monkeypatch, CARLA_RECAP_CACHE=tmp_path)["cache"] == {
-        "folder": str(tmp_path),
-        "entries": 1,
-        "bytes": 1000,
-        "error": None,
-    }
-    assert doctor(monkeypatch, CARLA_RECAP_CACHE="")["cache"] == NO_CACHE
+    found = {**NO_CACHE, "folder": str(tmp_path), "entries": 1, "bytes": 1000}
+    assert doctor(CARLA_RECAP_CACHE=tmp_path)["cache"] == found
+    assert doctor(CARLA_RECAP_CACHE="")["cache"] == NO_CACHE
     missing = tmp_path / "missing"
-    assert doctor(monkeypatch, CARLA_RECAP_CACHE=missing)["cache"] == {**NO_CACHE, "folder": str(missing)}
+    assert doctor(CARLA_RECAP_CACHE=missing)["cache"] == {**NO_CACHE, "folder": str(missing)}
 
 
-def test_without_a_driver_there_is_a_line_and_no_traceback(monkeypatch, tmp_path):
+def test_without_a_driver_there_is_a_line_and_no_traceback(tmp_path):
     nowhere = tmp_path / "none.json"
     nowhere.write_text("{}")
-    drawing = doctor(monkeypatch, __EGL_VENDOR_LIBRARY_FILENAMES=nowhere)["drawing"]
+    drawing = json.loads(in_a_new_process("--json", __EGL_VENDOR_LIBRARY_FILENAMES=nowhere))["drawing"]
     assert drawing["device"] is None
     assert "OpenGL cannot be used" in drawing["error"] or "needs" in drawing["error"]
-    done = run("doctor")
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert "Drawing\n  none " in done.stdout.decode()
+    assert "Drawing\n  none " in in_a_new_process(__EGL_VENDOR_LIBRARY_FILENAMES=nowhere)
 
 
 def test_the_text_has_all_parts():
-    done = run("doctor")
-    assert done.returncode == 0
-    lines = done.stdout.decode().splitlines()
+    lines = text().splitlines()
     assert [line for line in lines if not line.startswith(" ")] == ["Versions", "Drawing", "Extras", "Maps", "Cache"]
     assert any(line.split()[0] == BUILT_IN for line in lines)
 
 
-def test_files_in_place_of_folders_are_named(monkeypatch, tmp_path):
+def test_files_in_place_of_folders_are_named(tmp_path):
     file = tmp_path / "file"
     file.touch()
-    found = doctor(monkeypatch, CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
+    found = doctor(CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
     assert found["maps"] == {"folder": str(file), "files": {}, "error": "Not a directory"}
     assert found["cache"] == {**NO_CACHE, "folder": str(file), "error": "Not a directory"}
-    text = run("doctor").stdout.decode()
-    assert f"\n  none           {file}: Not a directory\n" in text
-    assert "\n  size           Not a directory\n" in text
+    shown = text(CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
+    assert f"\n  none           {file}: Not a directory\n" in shown
+    assert "\n  size           Not a directory\n" in shown
 
 
-def test_a_broken_package_is_a_line(monkeypatch, tmp_path):
+def test_a_broken_package_is_a_line(tmp_path):
     (tmp_path / "moderngl.py").write_text("raise OSError('libGL.so.1: cannot open')")
-    path = os.pathsep.join(filter(None, (str(tmp_path), ENVIRONMENT.get("PYTHONPATH"))))
-    drawing = doctor(monkeypatch, PYTHONPATH=path)["drawing"]
+    drawing = json.loads(in_a_new_process("--json", PYTHONPATH=before_others(tmp_path)))["drawing"]
     assert drawing["device"] is None
     assert drawing["error"] == "OSError: libGL.so.1: cannot open"

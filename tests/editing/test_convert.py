@@ -178,15 +178,6 @@ def test_a_copy_in_the_same_format_is_equal(small, tmp_path, suffix):
 # --- destinations --------------------------------------------------------------------------------------
 
 
-def test_an_existing_destination_needs_force(small, tmp_path):
-    there = save(tmp_path / "there.mcap", b"precious")
-    with pytest.raises(RecapError, match=r"there\.mcap: exists already; --force \(in Python, force=True\) replaces it"):
-        convert(small, there)
-    assert there.read_bytes() == b"precious"
-    convert(small, there, force=True)
-    assert len(images(there)) == 4
-
-
 @pytest.mark.parametrize("link", [None, "symlink_to", "hardlink_to"])
 def test_the_source_is_never_the_destination(small, tmp_path, link):
     other = small

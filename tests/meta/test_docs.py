@@ -65,6 +65,12 @@ def test_the_table_of_calls_is_up_to_date():
     assert script["PAGE"].read_text("utf-8") == script["page"](), "run tools/make-calls"
 
 
+def test_the_tables_that_are_made_of_those_in_the_code_are_up_to_date():
+    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+    for path, text in runpy.run_path(str(ROOT / "tools" / "make-tables"))["pages"]().items():
+        assert path.read_text("utf-8") == text, "run tools/make-tables"
+
+
 def test_the_rig_on_the_page_is_one():
     (rig,) = blocks(ROOT / "docs" / "sensors.md", "json")
     assert [sensor.id for sensor in SensorRig.of(json.loads(rig))] == ["front", "top"]
