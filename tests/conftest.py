@@ -62,10 +62,23 @@ _NEEDS = {
 """What skipped tests need, by a pattern of the reason."""
 
 
+_LONG = (
+    *("test_releases", "test_notebooks", "test_docs", "test_samples", "test_pytest_plugin", "test_viewer"),
+    *("test_memory", "test_campaign", "test_sim", "test_hostile"),
+)
+"""Modules that take half a minute or more: as the last ones, they would leave the other processes idle."""
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Let one process have all tests of a file, whose fixtures are made once."""
+    """Let one process have all tests of a file, whose fixtures are made once, in the order of `_LONG` and the alphabet."""
     if config.getoption("dist", None) == "load":
         config.option.dist = "loadfile"
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let long modules begin first."""
+    items.sort(key=lambda item: _LONG.index(item.path.stem) if item.path.stem in _LONG else len(_LONG))
 
 
 def pytest_collection_finish() -> None:

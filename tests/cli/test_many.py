@@ -91,7 +91,7 @@ def test_a_long_answer_is_the_same_by_processes(whole):
 
 @pytest.mark.parametrize("command", QUERIES)
 def test_a_broken_recording_is_a_line_on_stderr_and_not_the_end(runs, command):
-    done = run(command, "runs", "--jobs", 2, *MAP.get(command, ()))
+    done = run(command, "runs", "--jobs", 1, *MAP.get(command, ()))
     assert done.returncode == 2
     assert the_line(done.stderr) == "runs/c.log: is not a recording (neither CARLA's log nor MCAP)"
     assert b"runs/d.log\t" in done.stdout
