@@ -33,14 +33,6 @@ def test_the_benchmarks_run(tmp_path):
     assert equal.endswith("ok")
 
 
-@pytest.fixture(scope="module")
-def rows() -> list[str]:
-    pytest.importorskip("msgpack", reason="the extra `server` is not installed")
-    from benchmarks.__main__ import ROWS
-
-    return [row.__name__ for row in ROWS]
-
-
 def test_the_page_is_that_of_the_stored_results():
     assert page.PAGE.read_text("utf-8") == page.page(load()), "run python -m benchmarks.page"
 
@@ -69,7 +61,8 @@ def missing(subject):
     return iter(())
 
 
-def test_a_row_that_fails_or_is_left_out_keeps_the_results_that_are_stored(rows, tmp_path, monkeypatch, capsys):
+def test_a_row_that_fails_or_is_left_out_keeps_the_results_that_are_stored(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("msgpack", reason="the extra `server` is not installed")
     from benchmarks import __main__ as benchmarks
 
     stored = tmp_path / "results.json"
