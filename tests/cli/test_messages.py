@@ -54,7 +54,7 @@ def invoke(monkeypatch, tmp_path):
 
 
 def test_every_command_has_the_options_of_all_commands():
-    context = click.Context(cli.cli)
+    context = click.Context(cli.cli, **cli.cli.context_settings)
     for name in cli.cli.list_commands(context):
         command = cli.cli.get_command(context, name)
         options = [option for each in command.params for option in each.opts]
