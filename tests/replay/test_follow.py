@@ -67,100 +67,80 @@ def test_an_ignored_hero_cannot_be_followed(record: Record) -> None:
             Player(recording, follow=follow, ignore_hero=True)
 
 
-def test_the_hero_is_chosen_first(record: Record) -> None:
-    recording = record({"spawned": CAST, "collisions": [(0, 12, 11, 0, 0)]})
-    assert choose_followed(recording.reader) == 14
-    assert Player(recording).followed == 14
+def slower(script: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return frames with velocities that explain the steps of actor 11 alone."""
+    return [frame | {"velocities": [velocity(11, 3), velocity(12, 0)]} for frame in script]
 
 
-def test_the_first_to_collide_is_chosen_next(record: Record) -> None:
-    recording = record(
-        {"spawned": NO_HERO, "collisions": [(0, NO_ACTOR, 15, 0, 0)]},
-        {"collisions": [(1, NO_ACTOR, 12, 0, 0)]},
-        {"collisions": [(2, 11, 12, 0, 0)]},
-    )
-    assert Player(recording).followed == 12
-    assert Player(recording, start=2).followed == 11, "in what is played"
+def every_other(script: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return frames with actor 12 in every other one."""
+    return [
+        frame | {"transforms": [pose for pose in frame["transforms"] if pose[0] != 12 or n % 2 == 0]}
+        for n, frame in enumerate(script)
+    ]
 
 
-def test_the_one_that_moves_farthest_is_chosen_last(record: Record) -> None:
-    recording = record(*frames(NO_HERO, speeds(id10=900, id11=100, id12=200, id13=300, id15=400)))
-    assert Player(recording).followed == 12
-    assert Player(recording, ignore_hero=True).followed == 12
+MOVING = frames(NO_HERO, speeds(id11=100))
+COMING_AND_GOING = [
+    {"spawned": [spawn(1)], "transforms": [pose(1)]},
+    {"spawned": [spawn(2)], "transforms": [pose(1, 100), pose(2)]},
+    {"spawned": [spawn(3)], "transforms": [pose(2, 150), pose(1, 200), pose(3)]},
+    {"destroyed": [(1,)], "transforms": [pose(2, 300), pose(3, 180)]},
+    {"transforms": [pose(2, 450), pose(3, 360)]},
+]
+DESTROYED = [
+    {"spawned": [spawn(1, role_name="hero"), spawn(2)], "transforms": [pose(1), pose(2)]},
+    {"destroyed": [(1,)], "transforms": [pose(2)]},
+    {"transforms": [pose(2)]},
+]
+CHOSEN: dict[str, tuple[list[dict[str, Any]], dict[tuple[float, float], int | None]]] = {
+    "the hero first": ([{"spawned": CAST, "collisions": [(0, 12, 11, 0, 0)]}], {(0, 9): 14}),
+    "the first to collide next, in what is played": (
+        [
+            {"spawned": NO_HERO, "collisions": [(0, NO_ACTOR, 15, 0, 0)]},
+            {"collisions": [(1, NO_ACTOR, 12, 0, 0)]},
+            {"collisions": [(2, 11, 12, 0, 0)]},
+        ],
+        {(0, 9): 12, (2, 9): 11},
+    ),
+    "the last collision counts": (
+        [*MOVING[:3], {**MOVING[3], "collisions": [(1, 12, 15, 0, 0)]}, MOVING[4]],
+        {(0, 2.99): 11, (0, 3.0): 12},
+    ),
+    "the vehicle that moves farthest last": (
+        frames(NO_HERO, speeds(id10=900, id11=100, id12=200, id13=300, id15=400)),
+        {(0, 9): 12},
+    ),
+    "by the length of the path": (
+        frames(NO_HERO, lambda id, n: n * 30 if id == 11 else n % 2 * 100 if id == 12 else 0),
+        {(0, 9): 12},
+    ),
+    "without jumps": (frames(NO_HERO, lambda id, n: n * 30 if id == 11 else (n > 2) * 1e6 if id == 12 else 0), {(0, 9): 11}),
+    "without steps that the velocity does not explain": (
+        slower(frames(NO_HERO, lambda id, n: n * 300 if id == 11 else n % 2 * 3000 if id == 12 else 0)),
+        {(0, 9): 11},
+    ),
+    "also in every other frame": (every_other(frames(NO_HERO, speeds(id11=100, id12=300), count=9)), {(0, 9): 12}),
+    "a walker if no vehicle moves": (
+        frames([actor for actor in NO_HERO if not actor.type_id.startswith("vehicle")], speeds(id13=1, id15=9)),
+        {(0, 9): 13},
+    ),
+    "none if nothing moves": (frames([CAST[0], CAST[-1]], speeds(id10=5)), {(0, 9): None}),
+    "those that are present": (COMING_AND_GOING, {(0, 9): 2, (0, 2): 1, (2, 9): 3}),
+    "none whose end is the start": (DESTROYED, {(0.5, 9): 1, (1.0, 9): 2}),
+    "the last moment counts": (
+        frames(NO_HERO, lambda id, n: 100 * n if id == 11 else 400 * (n > 2) if id == 12 else 0),
+        {(0, 2.99): 11, (0, 3.0): 12},
+    ),
+}
 
 
-def test_the_length_of_the_path_counts(record: Record) -> None:
-    """An actor that drives in circles moves farther than one that drives a bit ahead."""
-    recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else n % 2 * 100 if id == 12 else 0))
-    assert Player(recording).followed == 12
-
-
-def test_jumps_do_not_count(record: Record) -> None:
-    recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else (n > 2) * 1e6 if id == 12 else 0))
-    assert Player(recording).followed == 11
-
-
-def test_a_step_that_the_recorded_velocity_does_not_explain_is_a_jump(record: Record) -> None:
-    script = frames(NO_HERO, lambda id, n: n * 300 if id == 11 else n % 2 * 3000 if id == 12 else 0)
-    for frame in script:
-        frame["velocities"] = [velocity(11, 3), velocity(12, 0)]
-    assert Player(record(*script)).followed == 11
-
-
-def test_an_actor_counts_that_is_in_every_other_frame(record: Record) -> None:
-    script = frames(NO_HERO, speeds(id11=100, id12=300), count=9)
-    for frame in script[1::2]:
-        frame["transforms"] = [pose for pose in frame["transforms"] if pose[0] != 12]
-    assert Player(record(*script)).followed == 12
-
-
-def test_a_walker_is_chosen_if_no_vehicle_moves(record: Record) -> None:
-    cast = [actor for actor in NO_HERO if not actor.type_id.startswith("vehicle")]
-    assert Player(record(*frames(cast, speeds(id13=1, id15=9)))).followed == 13
-
-
-def test_nothing_moves(record: Record) -> None:
-    recording = record(*frames([CAST[0], CAST[-1]], speeds(id10=5)))
-    assert Player(recording).followed is None
-    assert Player(record({})).followed is None
-
-
-def test_actors_that_are_not_present_do_not_count(record: Record) -> None:
-    recording = record(
-        {"spawned": [spawn(1)], "transforms": [pose(1)]},
-        {"spawned": [spawn(2)], "transforms": [pose(1, 100), pose(2)]},
-        {"spawned": [spawn(3)], "transforms": [pose(2, 150), pose(1, 200), pose(3)]},
-        {"destroyed": [(1,)], "transforms": [pose(2, 300), pose(3, 180)]},
-        {"transforms": [pose(2, 450), pose(3, 360)]},
-    )
-    assert choose_followed(recording.reader) == 2
-    assert choose_followed(recording.reader, stop=2) == 1
-    assert choose_followed(recording.reader, start=2) == 3
-
-
-def test_an_actor_whose_end_is_the_start_is_not_there(record: Record) -> None:
-    recording = record(
-        {"spawned": [spawn(1, role_name="hero"), spawn(2)], "transforms": [pose(1), pose(2)]},
-        {"destroyed": [(1,)], "transforms": [pose(2)]},
-        {"transforms": [pose(2)]},
-    )
-    end = recording.actors[1].destroyed_at
-    assert end is not None
-    assert choose_followed(recording.reader, start=end - 0.5) == 1
-    assert choose_followed(recording.reader, start=end) == 2
-
-
-def test_the_last_moment_counts(record: Record) -> None:
-    recording = record(*frames(NO_HERO, lambda id, n: 100 * n if id == 11 else 400 * (n > 2) if id == 12 else 0))
-    assert choose_followed(recording.reader, stop=2.99) == 11
-    assert choose_followed(recording.reader, stop=3.0) == 12
-
-
-def test_the_last_collision_counts(record: Record) -> None:
-    moving = frames(NO_HERO, speeds(id11=100))
-    recording = record(*moving[:3], {**moving[3], "collisions": [(1, 12, 15, 0, 0)]}, moving[4])
-    assert choose_followed(recording.reader, stop=2.99) == 11
-    assert choose_followed(recording.reader, stop=3.0) == 12
+@pytest.mark.parametrize("name", CHOSEN)
+def test_the_actor_that_is_chosen(record: Record, name: str) -> None:
+    script, chosen = CHOSEN[name]
+    recording = record(*script)
+    assert {part: choose_followed(recording.reader, start=part[0], stop=part[1]) for part in chosen} == chosen
+    assert Player(recording).followed == choose_followed(recording.reader)
 
 
 def test_another_actor_can_be_followed_while_the_hero_is_ignored(record: Record) -> None:
