@@ -113,17 +113,6 @@ def test_the_followed_actor(
     assert found.rrd.exists()
 
 
-def test_the_caller_chooses_the_kinds_of_incidents(crossing: dict[str, Path], tmp_path: Path) -> None:
-    def count(**options: Any) -> int:
-        return len(clips(crossing[".mcap"], tmp_path / "clips", IncidentOptions(**options), rerun=False, force=True))
-
-    assert [count(kinds=["blocked"], min_time=seconds) for seconds in (38.0, 40.0)] == [1, 0]
-    assert count(kinds=["blocked"], min_distance=1e9) > 1
-    assert [count(kinds=["hard braking"], deceleration=limit) for limit in (6.0, 14.0)] == [1, 0]
-    with pytest.raises(RecapError, match="expected one above 0"):
-        count(kinds=["hard braking"], deceleration=0.0)
-
-
 def test_errors_contain_the_final_path_of_a_clip(
     crossing: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,15 +132,6 @@ def _serialized(path):
 # --- the scene -----------------------------------------------------------------------------------------------------
 
 
-def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
-    (time,) = [
-        time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"
-    ]
-    assert time == pytest.approx(27.0)
-    assert f"actor {GONE}" in bodies(crossing, 26.9)
-    assert f"actor {GONE}" not in bodies(crossing, 27.0)
-
-
 @pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
 def test_seeking_shows_the_same_as_playing(crossing, time):
     for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/scene/ahead"):
@@ -194,20 +185,6 @@ def test_entities_have_the_time_of_their_message(crossing):
         for time, message in crossing[topic][:200]:
             parts = message.transforms if topic.startswith("/tf") else message.entities
             assert {part.timestamp.ToNanoseconds() - start for part in parts} <= {round(time * 1e9)}
-
-
-def test_an_id_that_is_used_again_is_another_actor(record):
-    topics = record(
-        {"spawned": [spawn(1)], "transforms": [pose(1)]},
-        {"transforms": [pose(1, x=100)]},
-        {"destroyed": [1]},
-        {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)], "transforms": [pose(1, x=900)]},
-        {"transforms": [pose(1, x=900)]},
-    )
-    (walker,) = bodies(topics).values()
-    assert {pair.key: pair.value for pair in walker.metadata}["type_id"] == "walker.pedestrian.0001"
-    assert np.ptp(corners(walker), axis=0)[2] == pytest.approx(1.86, abs=0.02)
-    assert moves(topics, 1)[-1][1].translation.x == pytest.approx(9)
 
 
 def test_actors_that_come_and_go_all_the_time_become_boxes(record, monkeypatch):

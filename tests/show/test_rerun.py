@@ -18,13 +18,12 @@ from carla_recap.scene import style
 from carla_recap.scene.follow import followed_series
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import CARLA_LOGS, CROSSING, carla_log, names_in
-from tests.scene.accidents import accident
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 
 from carla_recap.scene.materials import MATERIALS, Material
-from carla_recap.show.rerun import bodies, meshes, stream, writer
+from carla_recap.show.rerun import bodies, stream, writer
 from carla_recap.show.rerun.blueprint import blueprint
 from carla_recap.show.rerun.export import export_rerun
 from carla_recap.show.rerun.sinks import APPLICATION
@@ -94,16 +93,6 @@ def test_actors_are_drawn_from_spawn_to_destruction(crossing) -> None:
         assert [time for time, _ in drawn] == pytest.approx([actor.spawned_at])
         cleared = [time for time, _ in crossing.rrd.rows(path, "Clear:is_recursive")]
         assert cleared == pytest.approx([] if actor.destroyed_at is None else [actor.destroyed_at])
-
-
-def size_of(rrd: Rrd, id: int, time: float) -> np.ndarray | None:
-    """Return half the size of an actor's model without its shadow; None while it is not drawn."""
-    vertices = rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_positions", time)
-    if vertices is None:
-        return None
-    colors = np.array(rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_colors", time))
-    solid = np.array(vertices)[colors != meshes.packed(np.array([meshes._SHADOW_COLOR], np.uint8))[0]]
-    return (solid.max(axis=0) - solid.min(axis=0)) / 2
 
 
 def test_the_hero_is_named(crossing) -> None:
@@ -287,19 +276,6 @@ def test_the_size_of_blocks_does_not_change_rows(tmp_path: Path, monkeypatch: py
                     assert np.ravel(one) == pytest.approx(np.ravel(other), abs=1e-6, nan_ok=True)
 
 
-def test_an_id_that_is_used_again(tmp_path: Path) -> None:
-    frames = driven(8, spawned=[spawn(1)])
-    frames[3] = {"destroyed": [(1,)]}
-    frames[5] |= {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)]}
-    rrd = export(write(tmp_path / "again.log", frames), tmp_path / "again.rrd")
-    path = "/world/actors/1"
-    assert [rrd.place(path, t)[0] if rrd.place(path, t) else None for t in range(8)] == [0, 1, 2, None, None, 5, 6, 7]
-    sizes = [size_of(rrd, 1, t) for t in (0, 3, 6)]
-    assert sizes[0][0] > 1.5
-    assert sizes[1] is None
-    assert sizes[2][0] < 0.5
-
-
 def test_no_actor_to_follow(tmp_path: Path) -> None:
     lamps = [spawn(id, "traffic.traffic_light", x=1000 * id) for id in (10, 30)]
     frames = [
@@ -325,17 +301,6 @@ def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
     rrd = export(write(tmp_path / "lamp.log", frames), tmp_path / "lamp.rrd")
     assert [is_lit(rrd, 10, Material.GREEN_LAMP, t) for t in range(3)] == [True, False, True]
     assert [rrd.at("/signals/tl_10", "StateChange:state", t) for t in range(3)] == [["green"], None, ["green"]]
-
-
-def test_part_of_a_recording(tmp_path: Path) -> None:
-    rrd = export(CROSSING, tmp_path / "part.rrd", start=30.05, duration=5, follow=BLOCKING)
-    times = [time for time, _ in rrd.rows("/map/actors", "Points2D:positions")]
-    assert (times[0], times[-1]) == pytest.approx((30.05, 35.05))
-    assert rrd.rows("/events", "TextLog:text")[0][1][0].startswith("15 actors are there: ")
-    with open_recording(CROSSING) as recording:
-        way = recording.trajectory(LATE)
-    middle = (np.interp(30.05, way.time, way.x), np.interp(30.05, way.time, way.y))
-    assert rrd.place(f"/world/actors/{LATE}", 30.05)[:2] == pytest.approx(middle, abs=1e-3)
 
 
 # --- large numbers ---
@@ -394,30 +359,6 @@ def test_an_attached_actor_leaves_its_parent_as_soon_as_its_own_poses_are_record
         (rrd.at("/world/actors/2", "Transform3D:parent_frame", t), rrd.place("/world/actors/2", t)[0]) for t in (2, 3, 5)
     ]
     assert found == [(["tf#/world/actors/1"], 0.5), (["tf#/world/actors"], 9), (["tf#/world/actors"], 9)]
-
-
-def test_an_actor_gets_the_size_that_is_recorded_after_its_spawn(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1, 900)], "vehicle_lights": [(1, 1 << 1)]} for _ in range(6)]
-    frames[0]["spawned"], frames[3]["bounding_boxes"] = [spawn(1)], [(1, 0, 0, 100, 500, 100, 100)]
-    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
-    lengths = []
-    for time in (0, 2, 3, 5):
-        x = np.array(rrd.at("/world/actors/1", "Mesh3D:vertex_positions", time))[:, 0]
-        lengths.append(np.ptp(x))
-        assert rrd.place("/world/actors/1", time)[0] == 9
-    assert lengths[0] == lengths[1] < 6
-    assert lengths[2:] == pytest.approx([10, 10], abs=0.2)
-
-
-def test_a_walker_that_lies_is_drawn_so_again_after_it_was_out_of_sight(tmp_path: Path) -> None:
-    frames = accident(speed=100, walker=WALKER)
-    frames[12]["transforms"][1] = pose(WALKER, 200, z=-60_000)
-    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
-    path = f"/world/actors/{WALKER}"
-    assert rrd.at(path, "Mesh3D:vertex_positions", 12) is None
-    lying = [rrd.at(path, f"InstancePoses3D:{name}", time) for time in (11, 15) for name in ("mat3x3", "translations")]
-    assert None not in lying
-    assert [np.array(each).tolist() for each in lying[2:]] == [np.array(each).tolist() for each in lying[:2]]
 
 
 def test_the_plots_end_where_the_followed_actor_vanishes(tmp_path: Path) -> None:

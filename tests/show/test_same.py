@@ -24,6 +24,7 @@ from carla_recap.show.page.samples import measure, sample
 from carla_recap.show.video.film import Film
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import SAMPLES, carla_log
+from tests.scene.accidents import WALKER, accident
 from tests.show.page.conftest import WITHOUT_ROADS, data
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
@@ -105,6 +106,21 @@ def without_a_spawn() -> list[dict]:
     return frames
 
 
+def lives() -> list[dict]:
+    """Return frames of a walker that is hit and out of sight for a while, and of a car that becomes longer, and a walker."""
+    frames: list[dict] = accident(80, speed=100)
+    for number, frame in enumerate(frames):
+        frame["transforms"].append(pose(7, 500, 600, yaw=50))
+        if 14 <= number < 24:
+            frame["transforms"][1] = pose(WALKER, 200, z=-60_000)
+    for number in range(40, 50):
+        del frames[number]["transforms"][2]
+    frames[0]["spawned"].append(spawn(7))
+    frames[30]["bounding_boxes"], frames[40]["destroyed"] = [(7, 0, 0, 100, 500, 100, 100)], [7]
+    frames[50]["spawned"] = [spawn(7, "walker.pedestrian.0001")]
+    return frames
+
+
 def tracks() -> str:
     """Return tracks of two cars of another data set: one brakes at 6.5 m/s²."""
     rows, x, speed = ["id,time,x,y,yaw,kind"], 0.0, 20.0
@@ -116,10 +132,10 @@ def tracks() -> str:
     return "\n".join(rows) + "\n"
 
 
-@pytest.fixture(
-    scope="module",
-    params=["crash", "crash from the middle", "junction", "real", "import", "parked below", "in the way", "without a spawn"],
-)
+SCRIPTS = {"parked below": parked_below, "in the way": in_the_way, "without a spawn": without_a_spawn, "lives": lives}
+
+
+@pytest.fixture(scope="module", params=["crash", "crash from the middle", "junction", "real", "import", *SCRIPTS])
 def recorded(request, tmp_path_factory):
     """A recording, and the time from which on it is shown: in the middle, while a mark is to be seen."""
     name, folder = request.param, tmp_path_factory.mktemp("same")
@@ -129,12 +145,8 @@ def recorded(request, tmp_path_factory):
         (folder / "tracks.csv").write_text(tracks())
         path = folder / "import.mcap"
         import_tracks(folder / "tracks.csv", path)
-    elif name == "parked below":
-        path = write(folder / "below.log", parked_below(), tick=0.1)
-    elif name == "in the way":
-        path = write(folder / "way.log", in_the_way(), tick=0.1)
-    elif name == "without a spawn":
-        path = write(folder / "without.log", without_a_spawn(), tick=0.1)
+    elif name in SCRIPTS:
+        path = write(folder / "script.log", SCRIPTS[name](), tick=0.1)
     else:
         sample, path = f"{name.partition(' ')[0]}.mcap", folder / "clip.mcap"
         clip(SAMPLES / sample, path, start=10.0, duration=8.0)
@@ -424,7 +436,8 @@ def test_the_same_incidents_are_captioned_and_listed(recorded, logs, tmp_path):
     recording, start = recorded
     found = incidents(recording.reader, WITHOUT_ROADS)
     write_report(recording, tmp_path / "page", WITHOUT_ROADS, pictures="none")
-    assert [each["text"] for each in data(tmp_path / "page", "report")["incidents"]] == [each.text for each in found]
+    listed = [(each["text"], each["start"], each["actors"]) for each in data(tmp_path / "page", "report")["incidents"]]
+    assert listed == [(each.text, round(each.start, 3), list(each.actors)) for each in found]
     for log in logs:
         assert {each.text for each in found if each.start >= start} <= set(log)
     player = Player(recording, start=start)
@@ -438,7 +451,7 @@ def test_the_same_incidents_are_captioned_and_listed(recorded, logs, tmp_path):
 def test_something_is_to_be_compared(request, shown):
     """The recordings have what is compared: lit lamps, and that of the crash a mark."""
     name, (_, found) = request.node.name, shown
-    assert any(each.lamps for each in found["video"]) or any(part in name for part in ("real", "way", "without"))
+    assert any(each.lamps for each in found["video"]) or any(part in name for part in ("real", "way", "without", "lives"))
     assert any(each.marks for each in found["video"]) or "crash" not in name
     assert found["video"][0].marks or "middle" not in name
     assert found["video"][0].see_through == {1, 2} or "way" not in name

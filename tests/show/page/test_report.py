@@ -29,16 +29,6 @@ def test_the_summary_is_that_of_the_recording(crossing_page: Path) -> None:
     ]
 
 
-def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
-    with open_recording(CROSSING) as recording:
-        expected = incidents(recording.reader)
-    listed = data(crossing_page, "report")["incidents"]
-    assert [(one["kind"], one["start"], one["actors"], one["text"]) for one in listed] == [
-        (one.kind, round(one.start, 3), list(one.actors), one.text) for one in expected
-    ]
-    assert len(listed) >= 3
-
-
 def test_the_summary_of_the_call(tmp_path: Path) -> None:
     with open_recording(CROSSING) as recording:
         written = write_report(recording, tmp_path / "page", WITHOUT_ROADS, pictures="none")

@@ -13,7 +13,7 @@ from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data
-from tests.replay.scripts import pose, spawn
+from tests.replay.scripts import spawn
 from tests.show.page.conftest import CROSSING, record, sampled, unpack
 
 
@@ -49,17 +49,6 @@ def test_a_jump_a_gap_and_nan_end_a_track(tmp_path: Path) -> None:
     frames = [{"transforms": [] if x is None else [(1, x, 0, 0, 0, 0, 0)]} for x in xs]
     replay = sampled(record(tmp_path / "a.log", frames))
     assert [(track.first, track.last) for track in replay.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
-
-
-def test_a_reused_id_is_another_actor(tmp_path: Path) -> None:
-    there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
-    frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
-    replay = sampled(record(tmp_path / "a.log", frames))
-    assert [(actor.id, actor.until, actor.actor.type_id) for actor in replay.actors] == [
-        (7, 0.1, "vehicle.audi.tt"),
-        (7, None, "walker.a"),
-    ]
-    assert [(track.actor, track.first, track.last) for track in replay.tracks] == [(0, 0, 1), (1, 3, 4)]
 
 
 def test_the_rate_limits_the_samples() -> None:
@@ -102,16 +91,6 @@ def test_what_is_plotted_is_what_is_measured_elsewhere() -> None:
         values = np.where(found[name] <= -127, np.nan, found[name])
         known = np.where(np.isfinite(expected[name]), expected[name], np.nan)
         assert values.tolist() == pytest.approx(known.tolist(), abs=0.51 * unit, nan_ok=True), name
-
-
-def test_lit_lamps_are_those_of_the_recording(tmp_path: Path) -> None:
-    frames: list[dict[str, Any]] = [
-        {"transforms": [pose(1, 50 * n)], "vehicle_lights": [(1, 0x11 if n % 10 < 5 else 0x20)]} for n in range(20)
-    ]
-    frames[0]["spawned"] = [spawn(1)]
-    replay = sampled(record(tmp_path / "a.log", frames, tick=0.1), rate=10)
-    assert [(round(time, 1), flags) for _, time, flags in replay.lamps] == [(0, 0x11), (0.5, 0x20), (1, 0x11), (1.5, 0x20)]
-    assert replay.lamps_at(0.7) == {0: 0x20}
 
 
 def test_each_change_of_a_light_is_recorded_once() -> None:
