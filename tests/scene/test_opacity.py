@@ -21,31 +21,34 @@ def opacities(*others: tuple[tuple[float, float, float], tuple[float, float, flo
     return float(opacity[0]), other_opacity.tolist()
 
 
-def test_nothing_is_see_through_that_hides_nothing() -> None:
-    assert opacities(((30, 0, 0.7), CAR), ((0, 3.5, 0.7), CAR), ((-30, 0, 0.7), CAR)) == (1, [1, 1, 1])
+BUS = (3.0, 1.3, 2.0)
 
 
-def test_the_followed_actor_is_see_through_where_it_hides_half_of_another() -> None:
-    assert opacities(((2.9, 0, 0.9), WALKER)) == (SEE_THROUGH, [1])
-    assert opacities(((4, 0, 0.9), WALKER)) == (1, [1])
-
-
-def test_what_covers_the_followed_actor_is_see_through() -> None:
-    assert opacities(((-6.0, 0, 1.5), TRUCK)) == (1, [IN_THE_WAY])
-
-
-@pytest.mark.parametrize("x", [-9.0, -10.0, -12.0])
-def test_what_has_the_camera_inside_is_see_through(x: float) -> None:
-    assert opacities(((x, 0, 4.0), (3.0, 1.3, 2.0))) == (1, [IN_THE_WAY])
-
-
-@pytest.mark.parametrize(("aside", "expected"), [(1.5, IN_THE_WAY), (1.7, 1), (4.0, 1)])
-def test_what_is_beside_the_camera_is_see_through_within_a_third_of_a_metre(aside: float, expected: float) -> None:
-    assert opacities(((-10.0, aside, 4.0), (3.0, 1.3, 2.0))) == (1, [expected])
-
-
-def test_what_covers_little_of_the_followed_actor_is_not() -> None:
-    assert opacities(((-6.0, 0, 1.5), (0.05, 0.05, 1.5))) == (1, [1])
+@pytest.mark.parametrize(
+    ("others", "own", "expected"),
+    [
+        ([((30, 0, 0.7), CAR), ((0, 3.5, 0.7), CAR), ((-30, 0, 0.7), CAR)], 1, [1, 1, 1]),
+        ([((2.9, 0, 0.9), WALKER)], SEE_THROUGH, [1]),
+        ([((4, 0, 0.9), WALKER)], 1, [1]),
+        ([((-6.0, 0, 1.5), TRUCK)], 1, [IN_THE_WAY]),
+        *([[((x, 0, 4.0), BUS)], 1, [IN_THE_WAY]] for x in (-9.0, -10.0, -12.0)),
+        ([((-10.0, 1.5, 4.0), BUS)], 1, [IN_THE_WAY]),
+        *([[((-10.0, aside, 4.0), BUS)], 1, [1]] for aside in (1.7, 4.0)),
+        ([((-6.0, 0, 1.5), (0.05, 0.05, 1.5))], 1, [1]),
+    ],
+    ids=[
+        "hides nothing",
+        "hides half of another",
+        "hides less",
+        "covers",
+        *["camera inside"] * 3,
+        "beside",
+        *["farther beside"] * 2,
+        "thin",
+    ],
+)
+def test_what_is_see_through(others: list, own: float, expected: list[float]) -> None:
+    assert opacities(*others) == (own, expected)
 
 
 def test_flat_and_far_boxes_do_not_matter() -> None:

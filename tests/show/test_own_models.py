@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -55,18 +54,6 @@ def test_the_model_fills_the_box_of_its_actor(folder):
     assert {tuple(row) for row in model.mesh.painted((10, 20, 30)).tolist()} == {MAGENTA, (10, 20, 30), unlit}
 
 
-def test_a_model_without_size_and_a_file_with_control_characters_are_refused_in_one_line(tmp_path):
-    path = tmp_path / "vehicle.a\x1b[31m\n.glb"
-    path.write_bytes(boxes(({}, (1, 2, 3), (1, 2, 3))))
-    with pytest.raises(RecapError, match="the model has no size") as raised:
-        use_models(tmp_path)
-    assert str(raised.value).isprintable()
-    path.write_bytes(glb({"extensionsRequired": ["\x1b[31m"]}))
-    with pytest.raises(RecapError, match="requires the extension") as raised:
-        use_models(tmp_path)
-    assert str(raised.value).isprintable()
-
-
 def test_the_same_files_are_read_once(folder):
     use_models(folder)
     count = len(MODELS)
@@ -96,15 +83,10 @@ def test_a_picture_shows_the_model(folder, tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "why"),
     [
-        ("vehicle.tesla.model3.glb", b"no model", "does not begin with glTF"),
         ("vehicle.tesla.model3.glb", CAR[:-50], "is cut"),
-        (
-            "vehicle.tesla.model3.glb",
-            glb({"extensionsRequired": ["KHR_draco_mesh_compression"]}),
-            "KHR_draco_mesh_compression",
-        ),
         ("vehicle.tesla.model3.glb", glb({"nodes": []}), "has no triangles"),
-        ("vehicle.tesla.model3.glb", CAR[:12] + struct.pack("<I", 1 << 31) + CAR[16:], "cut within a chunk"),
+        ("vehicle.a\x1b[31m\n.glb", boxes(({}, (1, 2, 3), (1, 2, 3))), "the model has no size"),
+        ("vehicle.a\x1b[31m\n.glb", glb({"extensionsRequired": ["\x1b[31m"]}), "requires the extension"),
         ("car.glb", CAR, "the name of a blueprint was expected"),
         ("model.txt", CAR, "no models are in this folder"),
     ],
@@ -113,9 +95,9 @@ def test_a_folder_that_cannot_be_used_is_an_error_of_one_line(tmp_path, name, co
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RecapError, match=why) as caught:
         use_models(tmp_path)
-    assert "\n" not in str(caught.value)
+    assert str(caught.value).isprintable()
     assert str(tmp_path) in str(caught.value)
-    assert name in str(caught.value) or name == "model.txt"
+    assert name.partition("\x1b")[0] in str(caught.value) or name == "model.txt"
 
 
 def test_all_models_of_a_folder_have_a_limit(tmp_path, monkeypatch):

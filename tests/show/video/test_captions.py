@@ -23,58 +23,42 @@ FAR = incident(
 )
 
 
-def captions(*incidents: Incident, followed: int | None = 1, **options: Any) -> Captions:
-    return Captions(incidents, **{"start": 0.0, "stop": 60.0, "followed": followed} | options)
+CRASH_TEXT, BRAKING_TEXT = "Hero collides with Audi A2 (2)", "Hero brakes hard at 44 km/h"
+WALL = incident("collision", 10.1, 10.2, 1, 9, text="hero collides with a wall")
+OTHERS = incident("collision", 10.0, 10.5, 3, 4, text="a crash")
+LATE = incident("collision", 12.100000000000037, 12.5, 1, 2)  # a rounded time is that of the incident
+STOP_TEXT = "Hero stands still for 39 s"
 
 
-def texts(found: Captions, time: float, *args: Any) -> list[str]:
-    return [caption.text for caption in found.at(time, *args)]
+def captions(*incidents: Incident, **options: Any) -> Captions:
+    return Captions(incidents, **{"start": 0.0, "stop": 60.0, "followed": 1} | options)
 
 
-def test_a_collision_is_shown_from_its_start_for_some_seconds() -> None:
-    found = captions(CRASH)
-    assert [len(found.at(time)) for time in (9.9, 10.0, 13.0, 14.0)] == [0, 1, 1, 0]
-    assert texts(found, 10.0) == ["Hero collides with Audi A2 (2)"]
+@pytest.mark.parametrize(
+    ("incidents", "options", "shown"),
+    [
+        ([CRASH], {}, {9.9: [], 10.0: [CRASH_TEXT], 13.0: [CRASH_TEXT], 14.0: []}),
+        ([LATE], {"start": 12.1, "stop": 12.1}, {12.1: ["Hero does it"]}),
+        ([CRASH], {"speed": 0.25}, {10.8: [CRASH_TEXT], 11.0: []}),
+        ([CRASH], {"speed": 4.0}, {20.0: [CRASH_TEXT]}),
+        ([STOP], {}, {12.0: [], 14.0: [STOP_TEXT], 31.0: [STOP_TEXT], 51.0: []}),
+        ([STOP], {"followed": 7}, {14.0: [STOP_TEXT], 31.0: []}),
+        ([OTHERS, BRAKING], {}, {10.4: [BRAKING_TEXT, "A crash"]}),
+        ([STOP, CRASH, BRAKING, WALL], {}, {10.4: ["Hero collides with a wall", CRASH_TEXT]}),
+        ([CRASH, BRAKING], {}, {10.4: [CRASH_TEXT, BRAKING_TEXT]}),
+    ],
+    ids=["seconds", "rounded", "slow", "fast", "long stop", "of another", "followed first", "important first", "two"],
+)
+def test_captions_at_times(incidents: list[Incident], options: Any, shown: dict[float, list[str]]) -> None:
+    found = captions(*incidents, **options)
+    assert {time: [caption.text for caption in found.at(time)] for time in shown} == shown
 
 
-def test_a_rounded_time_is_that_of_the_incident() -> None:
-    late = incident("collision", 12.100000000000037, 12.5, 1, 2)
-    assert texts(captions(late, start=12.1, stop=12.1), 12.1) == ["Hero does it"]
-
-
-def test_captions_are_shown_for_seconds_of_the_video() -> None:
-    slow, fast = (captions(CRASH, speed=speed) for speed in (0.25, 4.0))
-    assert [len(slow.at(time)) for time in (10.8, 11.0)] == [1, 0]
-    assert len(fast.at(20.0)) == 1
-
-
-def test_a_long_stop_of_the_followed_actor_is_shown_all_the_time_and_does_not_count() -> None:
-    found = captions(STOP)
-    assert texts(found, 12.0) == []
-    assert texts(found, 14.0) == texts(found, 31.0) == ["Hero stands still for 39 s"]
-    assert texts(found, 51.0) == []
-
-
-def test_a_long_stop_of_another_actor_is_mentioned_once() -> None:
-    found = captions(STOP, followed=7)
-    assert [len(found.at(time)) for time in (14.0, 31.0)] == [1, 0]
-
-
-def test_captions_of_the_followed_actor_stand_above_those_of_others() -> None:
-    found = captions(incident("collision", 10.0, 10.5, 3, 4, text="a crash"), BRAKING)
-    assert texts(found, 10.4) == ["Hero brakes hard at 44 km/h", "A crash"]
-
-
-def test_the_most_important_captions_are_the_first() -> None:
-    found = captions(STOP, CRASH, BRAKING, incident("collision", 10.1, 10.2, 1, 9, text="hero collides with a wall"))
-    assert texts(found, 10.4) == ["Hero collides with a wall", "Hero collides with Audi A2 (2)"]
-    assert texts(captions(CRASH, BRAKING), 10.4) == ["Hero collides with Audi A2 (2)", "Hero brakes hard at 44 km/h"]
-
-
-def test_incidents_of_others_are_shown_where_they_are_near() -> None:
-    found = captions(FAR)
-    assert texts(found, 10.0, is_near(0.0, 0.0)) == []
-    assert texts(found, 10.0, is_near(460.0, 10.0)) == ["Crossbike (3) collides with pedestrian 0004 (4)"]
+@pytest.mark.parametrize(
+    ("place", "texts"), [((0.0, 0.0), []), ((460.0, 10.0), ["Crossbike (3) collides with pedestrian 0004 (4)"])]
+)
+def test_incidents_of_others_are_shown_where_they_are_near(place: tuple[float, float], texts: list[str]) -> None:
+    assert [caption.text for caption in captions(FAR).at(10.0, is_near(*place))] == texts
 
 
 def test_a_caption_fades_at_its_end() -> None:
