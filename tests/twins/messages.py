@@ -5,12 +5,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pytest
 
 from carla_recap.formats.mcap.codec import message_class
 from carla_recap.model.layout import Framing, Layout, Many, pack, unpack
+from carla_recap.model.records import UE4, UE5
 
 if TYPE_CHECKING:
     from carla_recap.model.records import RecordType
+
+TYPES = [
+    type
+    for table in (UE4, UE5)
+    for type in table
+    if type.id > 1 and not type.opaque and (not type.wide or type.layout.has_reals)
+]
+"""The record types whose packets are messages of their own."""
+every_type = pytest.mark.parametrize("type", TYPES, ids=lambda type: type.name + "_wide" * type.wide)
 
 
 def encoded(type: RecordType, payload: bytes, frame: int, elapsed: float) -> bytes:

@@ -12,21 +12,15 @@ from hypothesis import strategies as st
 
 from carla_recap.formats.mcap import codec
 from carla_recap.model.layout import FLAG, REAL, TEXT, Framing, Layout, Many
-from carla_recap.model.records import UE4, UE5, RecordType
+from carla_recap.model.records import RecordType
 from tests.twins import messages as twin
+from tests.twins.messages import TYPES, every_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from hypothesis.strategies import SearchStrategy
 
-TYPES = [
-    type
-    for table in (UE4, UE5)
-    for type in table
-    if type.id > 1 and not type.opaque and (not type.wide or type.layout.has_reals)
-]
-every_type = pytest.mark.parametrize("type", TYPES, ids=lambda type: type.name + "_wide" * type.wide)
 few = settings(max_examples=max(settings.default.max_examples // 10, 5))  # of each type
 LIMITS = {"u1": (0, 255), "i1": (-128, 127), "u4": (0, 2**32 - 1), "i4": (-(2**31), 2**31 - 1), "u8": (0, 2**64 - 1)}
 CODES = {"u1": "B", "i1": "b", "u4": "I", "i4": "i", "u8": "Q", "f4": "f", "f8": "d", FLAG: "B", "u2": "H"}

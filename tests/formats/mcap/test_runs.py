@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from itertools import groupby
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -66,13 +65,6 @@ def test_like_frames_are_one_run() -> None:
     assert [(run.sequence, run.number) for run in message_runs(chunk(rows), FRAME)] == [(0, 8)]
 
 
-def test_other_records_are_passed_over() -> None:
-    schema = struct.pack("<BQ", 3, 5) + b"12345"
-    rows = [(DATA, sequence, b"12345678") for sequence in range(4)]
-    assert frames(schema + chunk(rows, schema) + schema) == expected(rows)
-    assert frames(schema) == []
-
-
 @pytest.mark.parametrize("cut", range(1, 39))
 def test_a_cut_record_is_an_error(cut: int) -> None:
     data = chunk([(DATA, sequence, b"12345678") for sequence in range(3)])
@@ -84,12 +76,3 @@ def test_a_message_shorter_than_its_fields_is_an_error() -> None:
     short = struct.pack("<BQHIQQ", 5, 21, DATA, 1, 0, 0)
     with pytest.raises(Exception, match="no whole record at byte 0"):
         frames(short + b"12345678")
-
-
-def test_a_view_has_the_same_bytes_of_each_frame() -> None:
-    rows = [(DATA, sequence, bytes(range(sequence, sequence + 8))) for sequence in range(6)]
-    for run in message_runs(chunk(rows), FRAME):
-        (slot,) = run.slots
-        expected_rows = [list(range(run.sequence + row + 2, run.sequence + row + 5)) for row in range(run.number)]
-        assert run.bytes_at(slot[1] + 2, 3).tolist() == expected_rows
-        assert run.view(np.dtype([("a", "u1"), ("b", "u1")]), slot[1], 2).shape == (run.number, 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tracemalloc
-from contextlib import closing
+from contextlib import closing, contextmanager
 from itertools import pairwise
 
 import pytest
@@ -29,7 +29,7 @@ from carla_recap.formats.mcap.writer import (
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Header
 from tests.formats.mcap.forge import MAGIC, Forge, data_records, message, messages_in, packed, read_records, rewrite, seal
-from tests.samples import contents, drive, images, write
+from tests.samples import contents, drive, images, reading, write
 from tests.sensed import HEADER, camera, noise, plain, sensed
 from tests.waiting import time_limit
 
@@ -51,6 +51,18 @@ def chunk_topics(path):
     names = {record.id: record.topic for record in found if isinstance(record, records.Channel)}
     for chunk in (record for record in found if isinstance(record, records.Chunk)):
         yield chunk, {names[channel] for channel, *_ in messages_in(chunk)}
+
+
+@contextmanager
+def told(path, messages, *, topic=None, header=HEADER):
+    """Yield the reader of a recording with messages of one topic, given as times and data."""
+    topic = topic or plain("/a")
+    with McapWriter(path, header) as writer:
+        writer.add_topic(topic)
+        for elapsed, data in messages:
+            writer.write_message(topic.name, elapsed, data)
+    with reading(path) as reader:
+        yield reader
 
 
 # --- writing -------------------------------------------------------------------------------------------------
@@ -171,15 +183,8 @@ def test_what_cannot_be_written_is_an_error_and_the_rest_stays_whole(tmp_path, a
 
 
 def test_a_message_of_the_largest_size_is_read_again(tmp_path):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(plain("/a"))
-        for time in range(2):
-            writer.write_message("/a", time, bytes(MESSAGE_LIMIT))
-    with open_recording(tmp_path / "run.mcap") as recording:
-        assert [(time, len(data)) for time, data in recording.reader.messages("/a")] == [
-            (0.0, MESSAGE_LIMIT),
-            (1.0, MESSAGE_LIMIT),
-        ]
+    with told(tmp_path / "run.mcap", [(time, bytes(MESSAGE_LIMIT)) for time in (0.0, 1.0)]) as reader:
+        assert [(time, len(data)) for time, data in reader.messages("/a")] == [(0.0, MESSAGE_LIMIT), (1.0, MESSAGE_LIMIT)]
 
 
 # --- reading -------------------------------------------------------------------------------------------------
@@ -219,12 +224,10 @@ def test_topics_are_described(tmp_path):
 
 
 def test_a_topic_without_messages_has_no_times(tmp_path):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(camera())
-    with open_recording(tmp_path / "run.mcap") as recording:
-        (found,) = recording.reader.further_topics().values()
+    with told(tmp_path / "run.mcap", []) as reader:
+        (found,) = reader.further_topics().values()
         assert (found.count, found.first, found.last) == (0, None, None)
-        assert not list(recording.reader.messages("/sensors/front/image"))
+        assert not list(reader.messages("/a"))
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -243,21 +246,14 @@ def test_messages_are_those_that_were_written(tmp_path, live):
 
 @pytest.mark.parametrize(
     "read",
-    [
-        lambda reader: list(reader.messages("/sensors/front/image", 5.0, 5.1)),
-        lambda reader: reader.latest_messages(["/sensors/front/image"], 5.0),
-    ],
+    [lambda reader: list(reader.messages("/a", 5.0, 5.1)), lambda reader: reader.latest_messages(["/a"], 5.0)],
     ids=["of a part", "latest"],
 )
 def test_messages_are_read_of_the_chunks_of_their_time_alone(tmp_path, read):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(camera())
-        for number in range(100):
-            writer.write_message("/sensors/front/image", number / 10, noise(300_000, number))
-    with open_recording(tmp_path / "run.mcap") as recording:
-        before = recording.reader.bytes_read
-        assert len(read(recording.reader)) == 1
-        assert recording.reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
+    with told(tmp_path / "run.mcap", [(number / 10, noise(300_000, number)) for number in range(100)]) as reader:
+        before = reader.bytes_read
+        assert len(read(reader)) == 1
+        assert reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
 
 
 def test_the_latest_messages_are_those_of_a_moment(tmp_path):
@@ -279,12 +275,8 @@ def test_the_latest_messages_are_those_of_a_moment(tmp_path):
 
 @pytest.mark.parametrize(("elapsed", "expected"), [(-1.0, []), (math.nan, []), (0.15, [b"1"]), (1e12, [b"4"])])
 def test_a_time_that_mcap_does_not_have_is_before_or_behind_all_messages(tmp_path, elapsed, expected):
-    with McapWriter(tmp_path / "run.mcap", Header("Town01", 0)) as writer:
-        writer.add_topic(plain("/a"))
-        for number in range(5):
-            writer.write_message("/a", number / 10, b"%d" % number)
-    with open_recording(tmp_path / "run.mcap") as recording:
-        reader = recording.reader
+    messages = [(number / 10, b"%d" % number) for number in range(5)]
+    with told(tmp_path / "run.mcap", messages, header=Header("Town01", 0)) as reader:
         assert [message.data for message in reader.latest_messages(["/a"], elapsed)] == expected
         assert [message.data for message in reader.further_messages(["/a"], stop=elapsed)][-1:] == expected
 
@@ -306,37 +298,22 @@ def test_the_first_and_the_last_time_are_those_of_all_chunks_that_overlap(tmp_pa
         assert [(topic.first, topic.last) for topic in topics] == [(1.0, 3.0), (1.5, 2.5)]
 
 
-def test_the_latest_messages_are_found_where_others_came_late(tmp_path):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(plain("/a"))
-        for time in [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]:
-            writer.write_message("/a", time, f"{time}".encode())
-    with open_recording(tmp_path / "run.mcap") as recording:
-        for moment, data in [(5.0, b"0.0"), (15.0, b"10.0"), (45.0, b"40.0"), (79.0, b"50.0"), (81.0, b"80.0")]:
-            assert [message.data for message in recording.reader.latest_messages(["/a"], moment)] == [data]
+def test_messages_that_came_late_are_put_in_order_and_the_latest_is_found(tmp_path):
+    times = [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]
+    with told(tmp_path / "run.mcap", [(time, f"{time}".encode()) for time in times]) as reader:
+        assert [time for time, _ in reader.messages("/a")] == sorted(times)
+        topic = reader.further_topics()["/a"]
+        assert (topic.first, topic.last) == (0.0, 80.0)
+        for moment, time in [(5.0, 0.0), (15.0, 10.0), (45.0, 40.0), (79.0, 50.0), (81.0, 80.0)]:
+            assert [message.elapsed for message in reader.latest_messages(["/a"], moment)] == [time]
 
 
 def test_of_messages_at_one_time_the_last_is_the_latest(tmp_path):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(plain("/a"))
-        for number in range(3):
-            writer.write_message("/a", 10.0, noise(FURTHER_CHUNK_SIZE * 2 // 3, number))
-    with open_recording(tmp_path / "run.mcap") as recording:
-        (latest,) = recording.reader.latest_messages(["/a"], 20.0)
-        *_, last = recording.reader.further_messages(["/a"])
+    messages = [(10.0, noise(FURTHER_CHUNK_SIZE * 2 // 3, number)) for number in range(3)]
+    with told(tmp_path / "run.mcap", messages) as reader:
+        (latest,) = reader.latest_messages(["/a"], 20.0)
+        *_, last = reader.further_messages(["/a"])
         assert latest == last
-
-
-def test_messages_that_came_late_are_put_in_order(tmp_path):
-    times = [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(plain("/a"))
-        for time in times:
-            writer.write_message("/a", time, f"{time}".encode())
-    with open_recording(tmp_path / "run.mcap") as recording:
-        assert [time for time, _ in recording.reader.messages("/a")] == sorted(times)
-        topic = recording.reader.further_topics()["/a"]
-        assert (topic.first, topic.last) == (0.0, 80.0)
 
 
 def test_an_unknown_topic_is_an_error_with_those_that_there_are(tmp_path, small):
