@@ -12,7 +12,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
 from carla_recap.output.text import text
-from carla_recap.queries.blocked import BlockedRow, blocked
+from carla_recap.queries.blocked import blocked
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests.queries.conftest import Make
 from tests.twins.stationary import stationary
@@ -25,56 +25,6 @@ def spawn(id: int, type_id: str = "vehicle.a") -> Spawn:
 def at(*places: tuple[int, float]) -> dict[str, Any]:
     """Transforms: ids and x in cm."""
     return {"transforms": [(id, x, 0, 0, 0, 0, 0) for id, x in places]}
-
-
-def test_rows(make: Make) -> None:
-    reader = make({"spawned": [spawn(1)], **at((1, 500))}, at((1, 505)), at((1, 509)), at((1, 800)), at((1, 900)))
-    assert blocked(reader, 1, 10) == [BlockedRow(0.5, 1.0, 1, "vehicle.a", 500.0, 0.0, 0.0)]
-    assert blocked(reader, 1.1, 10) == []
-    assert blocked(reader, 1, 9) == []
-
-
-def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
-    spawned = {"spawned": [spawn(1), spawn(2, "walker.b"), spawn(3, "static.c")]}
-    standing = at((1, 1), (2, 2), (3, 3))
-    reader = make([spawned, standing], standing, [{"destroyed": [(1,)]}, at((2, 2), (3, 3))], {})
-    rows = blocked(reader, 0.5)
-    assert [(row.id, row.type_id, row.duration) for row in rows] == [
-        (2, "walker.b", 1.0),
-        (3, "static.c", 1.0),
-        (1, "vehicle.a", 0.5),
-    ]
-    # CARLA forgets the actor that was spawned last, and never says of a forgotten one that it stood.
-    rows = blocked(reader, 0.5, compat=True)
-    assert [(row.id, row.type_id, row.duration) for row in rows] == [
-        (2, "walker.b", 1.5),
-        (1, "vehicle.a", 1.0),
-        (3, "", 0.5),
-    ]
-
-
-def test_a_spawn_begins_anew(make: Make) -> None:
-    reader = make(at((1, 1)), at((1, 1)), [{"spawned": [spawn(1)]}, at((1, 1))], at((1, 1)), {})
-    rows = [(row.start, row.duration, row.type_id) for row in blocked(reader, 0.5)]
-    assert rows == [(0.5, 0.5, ""), (1.5, 0.5, "vehicle.a")]
-    (row,) = blocked(reader, 1.0, compat=True)
-    assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
-
-
-def test_ties(make: Make) -> None:
-    """By start, then id; in CARLA, intervals that ended first, then the actor that was added last first."""
-    spawned = {"spawned": [spawn(id) for id in (5, 1, 9, 4)]}
-    reader = make(
-        [spawned, at((9, 1), (1, 1), (5, 1))],
-        at((9, 100), (1, 100), (5, 1)),
-        at((4, 1), (5, 100)),
-        at((9, 100), (1, 100), (4, 1), (5, 100)),
-        {},
-    )
-    right = [(row.start, row.duration, row.id) for row in blocked(reader, 0.5)]
-    assert right == [(0.5, 0.5, 5), (1.5, 0.5, 1), (1.5, 0.5, 4), (1.5, 0.5, 5), (1.5, 0.5, 9)]
-    carla = [(row.start, row.id) for row in blocked(reader, 0.5, compat=True)]
-    assert carla == [(0.0, 5), (1.0, 4), (0.0, 9), (0.0, 1), (1.5, 9), (1.5, 1), (1.5, 5)]
 
 
 @pytest.mark.parametrize(
@@ -93,13 +43,6 @@ def test_carla_goes_through_a_hash_table(make: Make, spawned: tuple[int, ...], o
     assert tuple(row.id for row in blocked(reader, 0.5, compat=True)) == order
     unknown = make(at(*((id, 1) for id in spawned)), at(*((id, 1) for id in spawned)), {})
     assert tuple(row.id for row in blocked(unknown, 0.5, compat=True)) == order
-
-
-def test_without_a_spawn_carla_forgets_actor_0(make: Make) -> None:
-    both = at((0, 1), (5, 1))
-    reader = make(both, both, [{"destroyed": [(9,)]}, at((5, 1))], {})
-    assert [row.id for row in blocked(reader, 0.5, compat=True)] == [5]
-    assert [row.id for row in blocked(reader, 0.5)] == [5, 0]
 
 
 @pytest.mark.parametrize("compat", [False, True])

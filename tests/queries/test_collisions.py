@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from carla_recap.errors import RecapError
@@ -53,11 +55,24 @@ def test_rows_are_a_data_frame(make: Make) -> None:
     }
 
 
-def test_a_contact_that_goes_on_gives_one_row(make: Make) -> None:
-    contact = {"collisions": [(0, 1, 2, 0, 0)]}
-    other_way = {"collisions": [(0, 2, 1, 0, 0)]}
-    answer = collisions(make({"spawned": CAST}, contact, contact, {}, contact, contact, other_way))
-    assert [(row.frame, row.id1) for row in answer] == [(2, 1), (5, 1), (7, 2)]
+CONTACT, OTHER_WAY = {"collisions": [(0, 1, 2, 0, 0)]}, {"collisions": [(0, 2, 1, 0, 0)]}
+TWICE = {"collisions": [(0, 1, 2, 0, 0), (1, 1, 2, 0, 0)]}
+
+
+@pytest.mark.parametrize("compat", [False, True])
+@pytest.mark.parametrize(
+    ("frames", "preamble", "rows"),
+    [
+        ([{"spawned": CAST}, CONTACT, CONTACT, {}, CONTACT, CONTACT, OTHER_WAY], False, [(2, 1), (5, 1), (7, 2)]),
+        ([CONTACT, {"spawned": CAST}, CONTACT], False, [(1, 1), (3, 1)]),
+        ([[TWICE, TWICE], TWICE], False, [(1, 1)] * 4),
+        ([CONTACT, CONTACT], True, [(0, 1)]),
+    ],
+    ids=["a contact that goes on", "other events bridge no gap", "repetitions within a frame", "before the first frame"],
+)
+def test_contacts_that_go_on_are_one_row(make: Make, frames: Any, preamble: bool, rows: Any, compat: bool) -> None:
+    answer = collisions(make(*frames, preamble=preamble), compat=compat)
+    assert [(row.frame, row.id1) for row in answer] == rows
 
 
 def test_rows_say_which_contact_they_belong_to(make: Make) -> None:
@@ -73,25 +88,12 @@ def test_rows_say_which_contact_they_belong_to(make: Make) -> None:
     assert [row.contact for row in collisions(reader, "w", "a")] == [2, 2]
 
 
-def test_other_events_do_not_bridge_a_gap(make: Make) -> None:
-    contact = {"collisions": [(0, 1, 2, 0, 0)]}
-    answer = collisions(make(contact, {"spawned": CAST}, contact))
-    assert [row.frame for row in answer] == [1, 3]
-
-
 def test_only_contacts_that_pass_the_filter_go_on(make: Make) -> None:
     """The hero flag is the record's own: the same pair may pass in one frame and not in the other."""
     as_hero, plain = {"collisions": [(0, 1, 2, 1, 0)]}, {"collisions": [(0, 1, 2, 0, 0)]}
     reader = make({"spawned": CAST}, as_hero, plain, as_hero)
     assert [row.frame for row in collisions(reader, "h", "a")] == [2, 4]
     assert [row.frame for row in collisions(reader)] == [2]
-
-
-@pytest.mark.parametrize("compat", [False, True])
-def test_repetitions_within_a_frame(make: Make, compat: bool) -> None:
-    twice = {"collisions": [(0, 1, 2, 0, 0), (1, 1, 2, 0, 0)]}
-    answer = collisions(make([twice, twice], twice), compat=compat)
-    assert [row.frame for row in answer] == [1, 1, 1, 1]
 
 
 @pytest.mark.parametrize(("compat", "letters"), [(False, "vwtoooo"), (True, "vwthaoo")])
@@ -153,12 +155,6 @@ def test_an_id_that_comes_again(make: Make) -> None:
 def test_the_duration_keeps_its_decimals(make: Make, compat: bool, duration: str) -> None:
     printed = "".join(text(collisions(make({"collisions": [(0, 1, 2, 0, 0)]}, {}), compat=compat)))
     assert printed.endswith(f"\n\nFrames: 2\nDuration: {duration} seconds\n")
-
-
-def test_before_the_first_frame(make: Make) -> None:
-    contact = {"collisions": [(0, 1, 2, 0, 0)]}
-    answer = collisions(make(contact, contact, preamble=True))
-    assert [(row.frame, row.elapsed) for row in answer] == [(0, 0.0)]
 
 
 def test_speeds_are_found_unless_carlas_answer_or_none_are_asked_for(make: Make) -> None:

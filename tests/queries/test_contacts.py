@@ -200,15 +200,6 @@ def test_any_recording(tmp_path: Path, recording: tuple[Header, list[Frame]]) ->
         assert_equal_answers(mcap, log)
 
 
-def test_samples(tmp_path: Path) -> None:
-    from tests.samples import SAMPLES
-
-    for number, sample in enumerate(sorted(SAMPLES.glob("*.mcap"))):
-        convert(sample, tmp_path / f"{number}.log")
-        convert(sample, tmp_path / f"{number}.mcap")
-        assert_equal_answers(sample, tmp_path / f"{number}.log", tmp_path / f"{number}.mcap")
-
-
 @pytest.mark.skipif(not CARLA_LOGS.is_dir(), reason="the logs of CARLA are not here: they are not part of the repository")
 def test_logs_of_carla(tmp_path: Path) -> None:
     for number, log in enumerate(sorted([*CARLA_LOGS.glob("*.log"), *sorted(RANDOM_LOGS.glob("*.log"))[:8]])):

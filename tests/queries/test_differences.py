@@ -167,12 +167,6 @@ def test_vehicles_lead_if_the_hero_does_not_part(drive: Callable[..., Reader]) -
     assert found.first is row_of(found, 11)
 
 
-def test_within_the_tolerance(drive: Callable[..., Reader]) -> None:
-    a, b = drive(), drive(aside(1.0, 50))
-    assert differences(a, b, tolerance=0.5).summary == "equal within 0.5 m"
-    assert not differences(a, b, tolerance=0.49).equal
-
-
 def test_poses_that_are_no_numbers(drive: Callable[..., Reader]) -> None:
     broken = lambda time: forward(time) | ({12: (math.nan, math.inf)} if time >= 1.0 else {})  # noqa: E731
     assert differences(drive(broken), drive(broken)).equal
@@ -260,25 +254,6 @@ def test_actors_whose_spawn_is_unknown_are_matched_by_id(drive: Callable[..., Re
     assert [actor.id for actor in found.missing] == [77]
 
 
-def test_lives_of_other_lengths(drive: Callable[..., Reader]) -> None:
-    def until(stop: int) -> Reader:
-        def poses(time: float) -> Poses:
-            found = forward(time)
-            if time >= stop / RATE:
-                del found[12]
-            return found
-
-        return drive(poses, events={stop: {"destroyed": [12]}})
-
-    found = differences(until(20), until(30))
-    row = row_of(found, 12)
-    assert (row.destroyed_at_a, row.destroyed_at_b, row.differs) == (1.0, 1.5, True)
-    assert row.first is None
-    assert "but not in position" in found.summary
-    assert differences(until(20), until(30), tolerance=0.01).equal
-    assert not differences(until(20), until(30), tolerance=0.01, time_tolerance=0.4).equal
-
-
 # --- lights, events, clocks, maps ----------------------------------------------------------------------------------------
 
 
@@ -356,14 +331,6 @@ def test_invalid_tolerances(drive: Callable[..., Reader], options: dict[str, flo
     recording = drive()
     with pytest.raises(RecapError, match="must be 0 or more"):
         differences(recording, recording, **options)
-
-
-def test_rows_are_a_table(drive: Callable[..., Reader]) -> None:
-    found = differences(drive(), drive(aside(1.0, 50)))
-    columns = found.actors.columns()
-    assert list(columns["max"]) == [0.5, 0.0, 0.0, pytest.approx(math.nan, nan_ok=True)]
-    assert found.actors.units()["max"] == "m"
-    assert found.lights.columns()["id_a"].tolist() == [13]
 
 
 def numbered(count: int, rows: Callable[[int], Sequence[tuple[float, ...]]], spawns: Sequence[Spawn]) -> Iterator[Frame]:

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.formats import create_writer
-from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.frame import Header
 from carla_recap.model.lives import ActorLife
-from carla_recap.model.records import FRAME_END, UE4, Spawn, attributes
+from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.differences import differences
 from carla_recap.queries.matching import match
+from tests.replay.scripts import build
 from tests.samples import reading
 from tests.twins.differences import Drive, actor_differs, light, paths
 
@@ -75,22 +75,17 @@ def along(id: int, time: float) -> tuple[float, ...]:
     return 1000.0 * time + id, 100.0 * id, 0.0, 30.0 * time - 170.0
 
 
-def write(path: Path, frames: list[tuple[float, dict[str, Any]]]) -> None:
-    with create_writer(path, Header("Town01", 0)) as writer:
-        for n, (time, records) in enumerate(frames):
-            types = [UE4.named(name) for name in TYPES if records[name]]
-            packets = [Packet(type.id, type, records=type.records(records[type.name])) for type in types]
-            after = frames[n + 1][0] - time if n + 1 < len(frames) else 0.1
-            writer.write(Frame(n, n + 1, time, after, [*packets, Packet(FRAME_END, UE4[FRAME_END], b"")]))
-
-
 @given(drives(along), drives(along), tolerances, st.none() | tolerances, st.sampled_from([".log", ".mcap"]))
 def test_differences_are_those_of_a_loop(
     a: Any, b: Any, tolerance: float, time_tolerance: float | None, suffix: str
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        write(first := Path(folder, f"a{suffix}"), a)
-        write(second := Path(folder, "b.log"), b)
+        first, second = (
+            build(
+                Path(folder) / name, Header("Town01", 0), [records for _, records in side], times=[time for time, _ in side]
+            )
+            for name, side in ((f"a{suffix}", a), ("b.log", b))
+        )
         with reading(first) as reader_a, reading(second) as reader_b:
             found = differences(reader_a, reader_b, tolerance=tolerance, time_tolerance=time_tolerance, events=False)
             ours, theirs = Drive(reader_a), Drive(reader_b)

@@ -4,7 +4,6 @@ import json as stdlib
 import math
 import re
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats.base import Reader
-from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 from carla_recap.output.json import json as json_text
@@ -74,15 +72,6 @@ def test_sample(converted: Callable[[Path, str], Path], suffix: str, opened: Cal
 @pytest.mark.parametrize("name", ["carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log"])
 def test_a_calm_drive_has_none(name: str, opened: Callable[[Path], Reader]) -> None:
     assert incidents(opened(carla_log(name)), IncidentOptions(min_time=60)) == []
-
-
-def test_collisions_alone_read_the_events_and_their_places(driven: Path) -> None:
-    with closing(McapReader(driven)) as reader:
-        incidents(reader, IncidentOptions(kinds=["collision"]))
-        once = reader.bytes_read
-        for frame in reader.frames(("transforms",)):
-            assert len(frame["transforms"])
-        assert once < reader.bytes_read - once
 
 
 # --- collisions ----------------------------------------------------------------------------------------

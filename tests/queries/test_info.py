@@ -59,23 +59,6 @@ def test_events(make: Make) -> None:
     ]
 
 
-def test_every_record(make: Make) -> None:
-    reader = make({"transforms": [(7, 1, 2, 3, 0.1, 0, -0.0)], "visual_time": [(0.25,)]}, {"destroyed": []})
-    assert printed(reader, all=True) == (
-        HEAD + "Frame 1 at 0 seconds\n"
-        " Positions: 1\n"
-        "  Id: 7 Location: (1, 2, 3) Rotation: (0.1, 0, -0)\n"
-        "Frame 2 at 0.5 seconds\n"
-        "\nFrames: 2\nDuration: 0.5 seconds\n"
-    )
-    assert [(row.frame, row.type) for row in info(reader, all=True)] == [
-        (1, "frame"),
-        (1, "transforms"),
-        (1, "visual_time"),
-        (2, "frame"),
-    ]
-
-
 def test_an_unknown_door_ends_its_line(make: Make) -> None:
     reader = make({"doors": [(1, 7, 1), (2, 6, 0)]})
     assert "  Id: 1\n  Doors opened: \n  Id: 2\n  Doors opened:  All \n\nFrames" in printed(reader, all=True)

@@ -55,25 +55,6 @@ def recorded_car(path: Path, frames: dict[float, dict[str, float]]) -> Path:
     return path
 
 
-def speeds(path: Path) -> tuple[list[float], list[float]]:
-    """The speeds of the trajectory of the car, and those of its measures over time."""
-    with open_recording(path) as recording:
-        return recording.trajectory(1).speed.tolist(), recording.time_series(1).speed.tolist()
-
-
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-@pytest.mark.parametrize(("absent", "farther"), [(3, 3.0), (19, 19.0), (25, 1000.0), (3, 100.0)])
-def test_speeds_follow_from_the_frames_that_an_actor_is_in(tmp_path: Path, suffix: str, absent: int, farther: float) -> None:
-    """It drives at 20 m/s, and is absent: less than 1 s, or longer and somewhere else behind it, or it jumps meanwhile."""
-    frames = {frame * TICK: {"x": frame * 1.0} for frame in range(30)}
-    frames |= {frame * TICK: {} for frame in range(30, 30 + absent)}
-    frames |= {frame * TICK: {"x": frame - absent + farther} for frame in range(30 + absent, 60 + absent)}
-    for found in speeds(recorded_car(tmp_path / f"absent{suffix}", frames)):
-        known = [speed for speed in found if np.isfinite(speed)]
-        assert known == pytest.approx([20.0] * len(known))
-        assert len(known) == 60 - 20 * (farther == 100 and len(found) < 60)
-
-
 @pytest.mark.filterwarnings("ignore:.*is unknown; rules of the road")
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
 def test_an_actor_in_every_other_frame_has_a_speed(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:

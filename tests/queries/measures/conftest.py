@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,9 @@ import pytest
 
 from carla_recap.formats import open_reader
 from carla_recap.formats.base import Reader
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn, attributes
+from carla_recap.queries.measures.motion_table import MotionTable
 from tests.queries.conftest import write
 
 Drive = Callable[..., Reader]
@@ -68,6 +70,18 @@ def drive(tmp_path: Path) -> Iterator[Drive]:
         reader.close()
 
 
+def motion_table(
+    time: np.ndarray, x: Any, y: Any = 0.0, z: Any = 0.0, yaw: Any = 0.0, vx: Any = 0.0, vy: Any = 0.0, **changed: Any
+) -> MotionTable:
+    """Return a table of boxes of 4 m by 2 m: numbers of all actors and frames, (actors, frames), or the same for some."""
+    shape = len(x), len(time)
+    rows = [np.broadcast_to(np.asarray(values, float), shape).copy() for values in (x, y, z, yaw, vx, vy)]
+    count = len(x)
+    lives = tuple(ActorLife(id, "", "vehicle", "", 0.0, spawn=Spawn(id)) for id in range(1, count + 1))
+    sizes = np.full(count, 4.0), np.full(count, 2.0), np.full(count, 1.5), np.zeros((count, 3))
+    return replace(MotionTable(0, len(time), time, lives, *rows, *sizes), **changed)
+
+
 def record(path: Path, movers: list[Mover], seconds: float, rate: float, events: dict[int, dict[str, Any]]) -> Path:
     count = round(seconds * rate) + 1
     frames: list[dict[str, Any]] = []
@@ -88,31 +102,18 @@ def record(path: Path, movers: list[Mover], seconds: float, rate: float, events:
         if velocities:
             frame["velocities"] = velocities
         if index == 0:
-            spawns = {
-                "spawned": [
-                    Spawn(
-                        mover.id,
-                        mover.kind,
-                        type_id=mover.type_id,
-                        attributes=attributes(**({"role_name": mover.role_name} | mover.other)),
-                    )
-                    for mover in movers
-                ],
-                "parented": [(mover.id, mover.parent) for mover in movers if mover.parent is not None],
-                "bounding_boxes": [
-                    (
-                        mover.id,
-                        mover.offset[0] * 100,
-                        -mover.offset[1] * 100,
-                        75.0,
-                        mover.size[0] * 50,
-                        mover.size[1] * 50,
-                        75.0,
-                    )
-                    for mover in movers
-                    if mover.size is not None
-                ],
-            }
-            frame = spawns | frame
+            attached = [(mover.id, mover.parent) for mover in movers if mover.parent is not None]
+            boxes = [_box(mover) for mover in movers if mover.size is not None]
+            frame = {"spawned": list(map(_spawn, movers)), "parented": attached, "bounding_boxes": boxes} | frame
         frames.append(frame | events.get(index, {}))
     return write(path, frames, durations=[1 / rate] * (count - 1) + [-1.0])
+
+
+def _spawn(mover: Mover) -> Spawn:
+    given = attributes(**({"role_name": mover.role_name} | mover.other))
+    return Spawn(mover.id, mover.kind, type_id=mover.type_id, attributes=given)
+
+
+def _box(mover: Mover) -> tuple[float, ...]:
+    (x, y), (length, width) = mover.offset, mover.size or (0.0, 0.0)
+    return mover.id, 100 * x, -100 * y, 75.0, 50 * length, 50 * width, 75.0

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
-from carla_recap.model.lives import ActorLife
-from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter
 from carla_recap.queries.measures.motion_table import MotionTable
+from tests.queries.measures.conftest import motion_table
 
 
 class Path(NamedTuple):
@@ -31,11 +30,8 @@ def path(x: float, y: float, heading: float, speed: float, seconds: float = 6.0)
 
 def post_encroachment_time(one: Path, other: Path, start: float = 0.0) -> float:
     """The least time between one box of 4 m by 2 m leaving a spot and the other arriving there, up to 3 s; else inf."""
-    lives = tuple(ActorLife(id, "", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
     x, y, yaw = map(np.stack, zip(one, other, strict=True))
-    sizes = np.full(2, 4.0), np.full(2, 2.0), np.ones(2), np.zeros((2, 3))
-    moving = np.full(x.shape, 10.0)
-    table = MotionTable(0, x.shape[1], start + 0.05 * np.arange(x.shape[1]), lives, x, y, 0 * x, yaw, moving, 0 * x, *sizes)
+    table = motion_table(start + 0.05 * np.arange(x.shape[1]), x, y, yaw=yaw, vx=10.0)
     search = CrossingSearch(3.0)
     search.add(table, np.ones(2, np.bool_))
     return min((each.post_encroachment_time for each in search.finish()), default=math.inf)
@@ -77,29 +73,12 @@ def test_it_is_the_entry_of_the_second_less_the_exit_of_the_first(v1: float, v2:
         assert found == math.inf or found < 0.1
 
 
-LIVES = tuple(ActorLife(id, "vehicle.audi.tt", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
-
-
 def crossing(time: np.ndarray, **changed: Any) -> MotionTable:
     """Two cars at 10 m/s: one to the east is at the origin after 5 s, one to the north after 7 s; 1.4 s are between them."""
-    still = np.zeros(len(time))
-    table = MotionTable(
-        first=0,
-        last=len(time),
-        time=time,
-        actors=LIVES,
-        x=np.stack([10 * (time - 5), still]),
-        y=np.stack([still, 10 * (time - 7)]),
-        z=np.stack([still, still]),
-        yaw=np.stack([still, still + np.pi / 2]),
-        vx=np.stack([still + 10, still]),
-        vy=np.stack([still, still + 10]),
-        length=np.array([4.0, 4.0]),
-        width=np.array([2.0, 2.0]),
-        height=np.array([1.5, 2.5]),
-        offset=np.zeros((2, 3)),
-    )
-    return replace(table, **changed)
+    still, east, north = np.zeros(len(time)), 10 * (time - 5), 10 * (time - 7)
+    turned, heights = [[0.0], [np.pi / 2]], np.array([1.5, 2.5])
+    ways = [east, still], [still, north]
+    return replace(motion_table(time, *ways, 0.0, turned, [[10.0], [0.0]], [[0.0], [10.0]], height=heights), **changed)
 
 
 def found_in(table: MotionTable, longest: float = 3.0) -> list[Encounter]:
@@ -110,15 +89,6 @@ def found_in(table: MotionTable, longest: float = 3.0) -> list[Encounter]:
 
 
 TIME = np.arange(0, 14, 0.05)
-
-
-def test_a_crossing_has_both_actors_and_times() -> None:
-    (found,) = found_in(crossing(TIME))
-    assert (found.other.id, found.one.id) == (1, 2)
-    assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
-    assert found.stop - found.start == pytest.approx(1.4, abs=0.11)
-    assert found.speed == pytest.approx(10)
-    assert found.time == found.stop
 
 
 @pytest.mark.parametrize("rate", [2, 3, 5, 10, 20, 30, 100])

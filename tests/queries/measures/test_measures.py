@@ -108,29 +108,6 @@ def test_the_impact_itself_is_no_braking(drive: Drive) -> None:
     assert found.get("jerk", 0) < 1
 
 
-@pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_a_recorded_collision_is_a_contact(drive: Drive, suffix: str) -> None:
-    """A car passes another one at 5.7 cm, and its sensor notes a collision in two frames."""
-    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 20, 2.057, 0), straight(3, 20, 30, 0)]
-    events = {frame: {"collisions": [(0, 1, 2, 1, 0)]} for frame in (40, 41)}
-    reader = drive(cars, seconds=4, events=events, suffix=suffix)
-    for id, other in ((1, 2), (2, 1)):
-        found = of(measures(reader, "all"), id)
-        for name in ("gap", "time_to_collision"):
-            assert (found[name].value, found[name].time, found[name].other) == (0, pytest.approx(2.0), other)
-        series = time_series(reader, id)
-        assert np.flatnonzero(series.gap == 0).tolist() == np.flatnonzero(series.time_to_collision == 0).tolist() == [40, 41]
-        assert (series.nearest[40], series.threat[41]) == (other, other)
-        assert time_series(reader, id, 3).gap.min() > 1
-    assert of(measures(drive(cars, seconds=4)))["gap"].value == pytest.approx(0.057, abs=1e-3)
-
-
-def test_an_actor_that_reverses_away_from_a_vehicle_does_not_follow_it(drive: Drive) -> None:
-    found = values(measures(drive([straight(1, 0, 0, -2, role_name="hero"), straight(2, 4.5, 0, 0)])))
-    assert (found["distance_headway"], found["required_deceleration"]) == (pytest.approx(0.5, abs=1e-3), 0)
-    assert "time_headway" not in found
-
-
 # --- of which actors ------------------------------------------------------------------------------------
 
 
@@ -170,16 +147,9 @@ def test_an_actor_that_gets_the_id_of_one_that_was_hit_is_not_thrown(drive: Driv
     assert found.start < 3
 
 
-def test_without_a_hero_all_vehicles_are_measured(street: Reader) -> None:
-    assert {row.actor for row in measures(street)} == {3, 4}
-
-
-def test_all_includes_walkers(street: Reader) -> None:
-    assert {row.actor for row in measures(street, "all")} == {3, 4, 9}
-
-
-def test_of_ids(street: Reader) -> None:
-    assert {row.actor for row in measures(street, [9])} == {9}
+@pytest.mark.parametrize(("actors", "found"), [(None, {3, 4}), ("all", {3, 4, 9}), ([9], {9})])
+def test_the_actors_that_are_asked_for_are_measured(street: Reader, actors: Any, found: set[int]) -> None:
+    assert {row.actor for row in measures(street, actors)} == found
 
 
 @pytest.mark.parametrize(
