@@ -12,6 +12,7 @@ import pytest
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.rig import SensorRig
+from tests.replay.scripts import matrix_of
 from tests.sensors.cars import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive, spawn
 
 pytest.importorskip("rosbags")
@@ -56,13 +57,8 @@ def messages(bag: Path) -> Messages:
 def matrix(transform: Any) -> np.ndarray:
     """Return a transform as a matrix (4, 4)."""
     turn, place = transform.rotation, transform.translation
-    x, y, z, w = turn.x, turn.y, turn.z, turn.w
     found = np.eye(4)
-    found[:3, :3] = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
+    found[:3, :3] = matrix_of((turn.x, turn.y, turn.z, turn.w))
     found[:3, 3] = place.x, place.y, place.z
     return found
 

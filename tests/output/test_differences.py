@@ -10,29 +10,26 @@ from carla_recap.output import differences
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
+    ("form", "texts"),
     [
-        (None, ""),
-        (math.nan, ""),
-        (math.inf, "unknown"),
-        (0.0, "0.000"),
-        (0.00042, "0.0004"),
-        (0.001, "0.001"),
-        (5.0, "5.000"),
-        (99.9, "99.900"),
-        (100.0, "100.0"),
-        (123.456, "123.5"),
+        (
+            differences._metres,
+            {
+                None: "",
+                math.nan: "",
+                math.inf: "unknown",
+                0.0: "0.000",
+                0.00042: "0.0004",
+                0.001: "0.001",
+                5.0: "5.000",
+                99.9: "99.900",
+                100.0: "100.0",
+                123.456: "123.5",
+            },
+        ),
+        (differences._degrees, {0.0: "", 0.042: "0.04", 0.1: "0.1", 12.34: "12.3"}),
+        (differences._seconds, {None: "", math.nan: "", 0.0: "0.00", 1.236: "1.24"}),
     ],
 )
-def test_distances_have_digits_that_matter(value, text):
-    assert differences._metres(value) == text
-
-
-@pytest.mark.parametrize(("value", "text"), [(0.0, ""), (0.042, "0.04"), (0.1, "0.1"), (12.34, "12.3")])
-def test_angles_do_too(value, text):
-    assert differences._degrees(value) == text
-
-
-@pytest.mark.parametrize(("value", "text"), [(None, ""), (math.nan, ""), (0.0, "0.00"), (1.236, "1.24")])
-def test_times_that_are_unknown_are_empty(value, text):
-    assert differences._seconds(value) == text
+def test_numbers_have_digits_that_matter_and_what_is_unknown_is_empty(form, texts):
+    assert {value: form(value) for value in texts} == texts

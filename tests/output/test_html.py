@@ -14,8 +14,6 @@ from carla_recap import create_recording, open_recording
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import CRASH
 
-HERO = 41
-
 
 def drawing(html: str) -> ElementTree.Element:
     return ElementTree.fromstring(html[html.index("<svg") :])

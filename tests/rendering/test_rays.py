@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from carla_recap.rendering.rays import RayScene
 from carla_recap.scene.materials import Material, Tag
@@ -15,8 +14,6 @@ from carla_recap.scene.mesh import Mesh
 from tests.rendering.shapes import boxes, cube, square
 
 pytest.importorskip("embreex")
-
-Floats = NDArray[np.float64]
 DOWN, AHEAD = (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)
 GROUND = square(-50, -50, 100)
 

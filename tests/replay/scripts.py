@@ -99,6 +99,18 @@ SPAWNS = st.builds(
 )
 
 
+def matrix_of(quaternion: Sequence[float]) -> Any:
+    """Return the rotation of a quaternion x, y, z, w as a matrix."""
+    x, y, z, w = quaternion
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+
+
 def few(rows: st.SearchStrategy[object], size: int = 2) -> st.SearchStrategy[list[object]]:
     return st.lists(rows, max_size=size)
 

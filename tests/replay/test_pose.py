@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from carla_recap import open_recording
 from carla_recap.replay import Player, quaternions, right_handed, right_handed_velocities
 from carla_recap.replay.pose import attach, detach, left_handed, rotations, wrap
+from tests.replay.scripts import matrix_of
 from tests.samples import carla_log
 
 ANGLES = st.floats(-720, 720)
@@ -63,13 +64,7 @@ def test_axes_equal_those_of_unreal() -> None:
 
 @given(POSES)
 def test_quaternions_equal_matrices(place: np.ndarray) -> None:
-    x, y, z, w = quaternions(place)
-    expected = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    assert rotations(place) == pytest.approx(np.array(expected), abs=1e-12)
+    assert rotations(place) == pytest.approx(matrix_of(quaternions(place)), abs=1e-12)
 
 
 def test_arrays_of_poses() -> None:

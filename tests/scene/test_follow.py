@@ -28,25 +28,28 @@ def controls(throttle: float, brake: float, steer: float) -> tuple[float, ...]:
     return (1, steer, throttle, brake, 0, 1)
 
 
-def test_speed_is_as_recorded(tmp_path: Path) -> None:
-    found = series(tmp_path, [{"transforms": [pose(1)], "velocities": [velocity(1, 7)]} for _ in range(3)])
-    assert found.speed.tolist() == [7, 7, 7]
+ATTACHED: list[dict[str, Any]] = [{"transforms": [pose(2, 100.0 * n)]} for n in range(4)]
+ATTACHED[0] |= {"spawned": [spawn(2), spawn(1, "static.prop.box")], "parented": [(1, 2)]}
+
+
+@pytest.mark.parametrize(
+    ("frames", "speeds"),
+    [
+        ([{"transforms": [pose(1)], "velocities": [velocity(1, 7)]} for _ in range(3)], [7, 7, 7]),
+        ([{"transforms": [pose(1, x)]} for x in (0.0, 100.0, 300.0)], [10, 15, 20]),
+        ([{}, {}, {"transforms": [pose(1, 500)]}, {"transforms": [pose(1, 600)]}], [np.nan, np.nan, 10, 10]),
+        (ATTACHED, [np.nan, 10, 10, 10]),
+    ],
+    ids=["recorded", "between the neighbours", "unknown until there is a pose", "of the parent"],
+)
+def test_speeds(tmp_path: Path, frames: list[dict[str, Any]], speeds: list[float]) -> None:
+    assert series(tmp_path, frames).speed == pytest.approx(speeds, nan_ok=True)
 
 
 def test_an_actor_that_stands_is_measured_without_a_warning(tmp_path: Path) -> None:
     with np.errstate(invalid="raise", divide="raise"):
         found = series(tmp_path, [{"transforms": [pose(1)], "velocities": [velocity(1, 0)]} for _ in range(2)])
     assert found.speed.tolist() == [0, 0]
-
-
-def test_speed_is_that_between_the_neighbours_where_none_is_recorded(tmp_path: Path) -> None:
-    found = series(tmp_path, [{"transforms": [pose(1, x)]} for x in (0.0, 100.0, 300.0)])
-    assert found.speed == pytest.approx([10, 15, 20])
-
-
-def test_speed_is_unknown_until_a_pose_is_recorded(tmp_path: Path) -> None:
-    found = series(tmp_path, [{}, {}, {"transforms": [pose(1, 500)]}, {"transforms": [pose(1, 600)]}])
-    assert found.speed == pytest.approx([np.nan, np.nan, 10, 10], nan_ok=True)
 
 
 def test_speed_and_pedals_are_held_in_frames_without_the_actor(tmp_path: Path) -> None:
@@ -60,12 +63,6 @@ def test_pedals_are_not_held_into_another_life(tmp_path: Path) -> None:
     there = {"transforms": [pose(1)], "vehicle_controls": [controls(0.5, 0, 0)]}
     found = series(tmp_path, [there, {"destroyed": [(1,)]}, {"spawned": [spawn(1)], "transforms": [pose(1)]}])
     assert found.pedals[:, 0] == pytest.approx([0.5, math.nan, math.nan], nan_ok=True)
-
-
-def test_what_is_attached_and_has_no_poses_has_the_speed_of_its_parent(tmp_path: Path) -> None:
-    frames: list[dict[str, Any]] = [{"transforms": [pose(2, 100.0 * n)]} for n in range(4)]
-    frames[0] |= {"spawned": [spawn(2), spawn(1, "static.prop.box")], "parented": [(1, 2)]}
-    assert series(tmp_path, frames).speed == pytest.approx([np.nan, 10, 10, 10], nan_ok=True)
 
 
 def test_after_a_jump_speed_is_unknown_and_the_camera_turns_at_once(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages
+from tests.replay.scripts import matrix_of
 from tests.sensors.made import HEADER, HEIGHT, POSE, WIDTH, picture, sample
 
 if TYPE_CHECKING:
@@ -131,14 +132,7 @@ def test_calibrations_project_as_the_camera_does() -> None:
     transforms = decoded(some, TRANSFORMS, FrameTransforms).transforms
     assert [(each.parent_frame_id, each.child_frame_id) for each in transforms] == [("world", "own")]
     place, turn = transforms[0].translation, transforms[0].rotation
-    x, y, z, w = turn.x, turn.y, turn.z, turn.w
-    axes = np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-        )
-    )
+    axes = matrix_of((turn.x, turn.y, turn.z, turn.w))
     point = np.array((8.0, 30.0, 5.0))  # ahead along y, to the left, and above
     optical = axes.T @ (point - (place.x, place.y, place.z))
     pixel = np.array(message.P).reshape(3, 4)[:, :3] @ optical

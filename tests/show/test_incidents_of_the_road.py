@@ -16,13 +16,11 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.captions import PlayedIncidents, incident_lines, shown_options
 from carla_recap.show.video.film import Film
 from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
-from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from carla_recap.queries.incidents import Kind
     from carla_recap.recording import Recording
 
 TICK = 0.05
@@ -92,15 +90,3 @@ def test_without_a_map_they_are_left_out(recording: Recording) -> None:
 def test_maps_without_lanes_have_no_network(opendrive: str) -> None:
     assert road_network_of_map(road_map(opendrive)) is None
     assert road_network_of_map(None) is None
-
-
-@pytest.mark.parametrize("name", ["blocked.mcap", "crash.mcap", "crossing.log"])
-def test_a_whole_replay_has_the_incidents_of_a_query(name: str) -> None:
-    with open_recording(SAMPLES / name) as recording:
-        player = Player(recording)
-        played = PlayedIncidents(player)
-        for _ in player.batches():
-            pass
-        kinds: list[Kind] = ["blocked", "hard braking"]
-        found = [incident for incident in played.found() if incident.kind in kinds]
-        assert found == list(recording.incidents(kinds=kinds))

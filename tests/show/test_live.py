@@ -149,13 +149,6 @@ def disk_of(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-def test_a_disk_without_room_for_the_index_is_an_error(tmp_path: Path) -> None:
-    size = size_of_200(tmp_path / "whole.rrd")
-    with disk_of(size - 2000), pytest.raises(RecapError, match=r"cut\.rrd: cannot be written: File too large"):
-        size_of_200(tmp_path / "cut.rrd")
-    assert names_in(tmp_path) == ["whole.rrd"]
-
-
 @pytest.mark.parametrize("live", [False, True])
 @pytest.mark.parametrize("size", [5, 100, 50_000, 1_000_000])
 def test_a_disk_that_is_full_while_data_wait_is_an_error(tmp_path: Path, size: int, *, live: bool) -> None:

@@ -22,7 +22,7 @@ from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.page import write_report
 from carla_recap.show.page.samples import measure, sample
 from carla_recap.show.video.film import Film
-from tests.replay.scripts import light, pose, spawn, write
+from tests.replay.scripts import light, matrix_of, pose, spawn, write
 from tests.samples import SAMPLES, carla_log
 from tests.scene.accidents import WALKER, accident
 from tests.show.page.conftest import WITHOUT_ROADS, data
@@ -249,7 +249,7 @@ def _in_rerun(rrd: Rrd, time: float, users: set[int], walkers: set[int]) -> Seen
         place, vertices = rrd.place(path, time), rrd.at(path, "Mesh3D:vertex_positions", time)
         if place is None or vertices is None:
             continue
-        turn, middle = _matrix(rrd.at(path, "Transform3D:quaternion", time)[0]), _middle(np.array(vertices))
+        turn, middle = matrix_of(rrd.at(path, "Transform3D:quaternion", time)[0]), _middle(np.array(vertices))
         fallen, body = rrd.at(path, "InstancePoses3D:mat3x3", time), np.eye(3)
         if fallen is not None:
             body = np.array(fallen[0]).reshape(3, 3).T
@@ -290,7 +290,7 @@ def _in_foxglove(topics, time: float, users: set[int], walkers: set[int]) -> See
         frame = transforms.get(f"actor {id}")
         if body is None or frame is None:
             continue
-        turn, points = _matrix([getattr(frame.rotation, axis) for axis in "xyzw"]), corners(body)
+        turn, points = matrix_of([getattr(frame.rotation, axis) for axis in "xyzw"]), corners(body)
         found.places[id] = tuple(xyz(frame.translation) + turn @ _middle(points))
         if id in walkers and np.ptp((points @ turn.T)[:, 2]) < LYING:
             found.lying.add(id)
@@ -340,17 +340,6 @@ def _known(value: float) -> float | None:
 
 def _middle(points: np.ndarray) -> np.ndarray:
     return (points.min(axis=0) + points.max(axis=0)) / 2
-
-
-def _matrix(quaternion) -> np.ndarray:
-    x, y, z, w = quaternion
-    return np.array(
-        [
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        ]
-    )
 
 
 def _glow(lamp: Material) -> tuple[int, ...]:

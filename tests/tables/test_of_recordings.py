@@ -183,11 +183,6 @@ def test_fields_that_a_build_omits_are_null_in_arrow(tmp_path: Path, suffix: str
         assert [wheels[1]["lat_stiff_value"] for wheels in rows] == [0, None]
 
 
-def packet_of(records: Any) -> Packet:
-    type = UE5.named("transforms")
-    return Packet(type.id, type, records=records)
-
-
 @both_formats
 def test_an_empty_recording_has_empty_tables(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"empty{suffix}"
@@ -320,16 +315,8 @@ def test_trajectories_contain_the_poses_of_the_frames(data: st.DataObject) -> No
             assert set(found) == {id for frame in recording for id in frame["transforms"]["id"].tolist()}
             for id, trajectory in found.items():
                 check(recording, id, trajectory)
-
-
-def test_trajectories_of_the_sample(crossing: Recording) -> None:
-    found = crossing.trajectories()
-    assert len(found) > 5
-    for id, path in found.items():
-        check(crossing, id, path)
-        alone = crossing.trajectory(id)
-        for name, values in alone.columns().items():
-            np.testing.assert_array_equal(values, getattr(path, name))
+                for name, values in recording.trajectory(id).columns().items():
+                    np.testing.assert_array_equal(values, getattr(trajectory, name))
 
 
 def test_steps_of_a_trajectory_and_a_part_of_it() -> None:
