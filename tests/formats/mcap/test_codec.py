@@ -207,6 +207,21 @@ def test_a_signalling_nan_keeps_its_bits(count):
 WALKER = struct.pack("<I", 8) + listed(bone("crl_root", *range(6)), bone("crl_hips", *range(6)))
 
 
+@pytest.mark.parametrize(("name", "record"), [("transforms", bytes(28)), ("walker_bones", WALKER)])
+def test_the_head_of_a_message_is_checked(name, record):
+    type = UE4.named(name)
+    message = encoded(type, listed(record))
+    swapped = message[9:18] + message[:9] + message[18:]
+    broken = b"\x0b" + message[1:]  # the begin of a group
+    for _ in range(2):  # the second time with the template of the first
+        assert codec.decode(type, message) == codec.decode(type, swapped) == listed(record)
+        with pytest.raises(codec.WireError):
+            codec.decode(type, broken)
+    if type.fixed:
+        assert codec.records_codec(type).decode(message) is not None
+        assert codec.records_codec(type).decode(swapped) is None
+
+
 @pytest.mark.parametrize("tag", range(3))
 def test_heads_in_arrays_are_checked(tag):
     heads = np.zeros(3, codec.FRAME_HEAD)
