@@ -97,22 +97,6 @@ def test_velocities_that_were_not_recorded_are_derived(tmp_path, own):
     assert np.allclose([car.base.acceleration.x for car in cars], [0, 100, 200, 200, 100], atol=1e-2)
 
 
-def test_what_says_nothing_of_the_motion_is_no_motion(tmp_path):
-    """A car drives at 20 m/s and jumps, has a velocity that is no number; another one gets its id, farther on."""
-    with create_recording(tmp_path / "odd.log", map_name="") as recorder:
-        for index in range(30):
-            records = {"transforms": [(7, 100 * (index + 100 * (index >= 10) + 3 * (index >= 20)), 0, 0, 0, 0, 0)]}
-            if index in (0, 20):
-                records["spawned"] = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a")]
-            if index == 5:
-                records["velocities"] = [(7, math.nan, math.inf, 0, 0, 0, 0)]
-            recorder.add_frame(index / 20, **records)
-    export(tmp_path / "odd.log", tmp_path / "odd.mcap")
-    found = [truth.moving_object[0].base for _, truth in messages(tmp_path / "odd.mcap")]
-    assert [each.velocity.x for each in found] == pytest.approx([20.0] * 30, abs=1e-3)
-    assert [each.acceleration.x for each in found] == pytest.approx([0.0] * 30, abs=0.1)
-
-
 def test_recorded_velocities_are_taken(crash):
     with open_recording(SAMPLES / "crash.mcap") as recording:
         (hero,) = recording.heroes

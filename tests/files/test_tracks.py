@@ -29,13 +29,6 @@ def test_a_row_has_pose_velocity_and_size(tmp_path):
     assert float(found[0]["length"]) == pytest.approx(2 * hero.bounding_box.extent_x)
 
 
-def test_a_part_is_exported(tmp_path):
-    with open_recording(CRASH) as recording:
-        export_csv(recording, tmp_path / "part.csv", start=10, duration=1)
-    times = [float(row["time"]) for row in rows(tmp_path / "part.csv")]
-    assert (min(times), max(times)) == pytest.approx((10, 11))
-
-
 def test_velocities_that_were_not_recorded_are_empty(tmp_path):
     with create_recording(tmp_path / "own.log", map_name="") as recorder:
         recorder.add_frame(0.0, spawned=[Spawn(7, 1, type_id="vehicle.a")], transforms=[(7, 0, 0, 0, 0, 0, 0)])

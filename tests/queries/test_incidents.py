@@ -189,26 +189,6 @@ def test_hard_braking(tmp_path: Path, suffix: str, recorded: bool, deceleration:
     assert re.fullmatch(r"vehicle.b \(3\) brakes hard at (69|70|71|72) km/h", row.text)
 
 
-def test_an_emergency_stop_from_a_low_speed_is_hard_braking_and_a_crash_at_it_is_not(tmp_path: Path, suffix: str) -> None:
-    """CARLA's tyres stop a car with 30 m/s² from 6.5 m/s, in 0.22 s; a wall that is recorded or not does so in less."""
-    stop, crash = slowing(30.0, speed=6.5), [6.5] * 20 + [0.0] * 60
-    (row,) = braked(drive(tmp_path / f"stop{suffix}", ways(stop), stop))
-    assert row.text == "vehicle.b (3) brakes hard at 23 km/h"
-    assert row.value == pytest.approx(29.0, abs=1.0)
-    assert braked(drive(tmp_path / f"crash{suffix}", ways(crash), crash)) == []
-    hit = {"at_21": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(stop)[21])]}}
-    assert braked(drive(tmp_path / f"hit{suffix}", ways(stop), stop, **hit)) == []
-
-
-@pytest.mark.parametrize("recorded", [False, True])
-@pytest.mark.parametrize("way", [30_000.0, 600.0, math.nan])
-def test_teleports_are_no_braking(tmp_path: Path, recorded: bool, way: float) -> None:
-    speeds = [20.0] * 20 + [0.0] * 20
-    x = ways(speeds)
-    x[20:] = [place + way for place in x[20:]]
-    assert braked(drive(tmp_path / "drive.log", x, speeds if recorded else None)) == []
-
-
 def test_the_stop_that_a_collision_causes_is_part_of_it(tmp_path: Path) -> None:
     speeds = slowing(10.0)
     at = {f"at_{number}": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(speeds)[number])]} for number in (20, 21)}

@@ -46,16 +46,6 @@ def test_velocities_that_are_recorded_count_more_than_steps(tmp_path: Path) -> N
     assert motion.rotation == pytest.approx((0, 0, -90))
 
 
-def test_a_jump_is_no_motion(tmp_path: Path) -> None:
-    times = np.arange(20) * 0.05
-    path = drive(tmp_path / "jump.mcap", times, np.where(times < 0.5, 0.0, 500.0) + 2 * times)
-    with carla_recap.open_recording(path) as recording:
-        motion = CarrierMotion(recording, 1)
-    for time in np.linspace(0, times[-1], 50):
-        assert motion.at(time).velocity == pytest.approx((2, 0, 0), abs=1e-3)
-        assert motion.at(time).acceleration == pytest.approx((0, 0, 0), abs=0.05)
-
-
 def test_from_one_life_of_an_id_to_the_next_is_no_motion(tmp_path: Path) -> None:
     path = tmp_path / "lives.mcap"
     with carla_recap.create_recording(path, map_name="Brickfield", date=0) as recorder:

@@ -7,15 +7,13 @@ import warnings
 
 import lz4.frame
 import pytest
-import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
 from mcap.opcode import Opcode
 
-from carla_recap import FormatError, NotARecording, RecapError, open_recording, recover
+from carla_recap import FormatError, NotARecording, open_recording, recover
 from carla_recap.formats.mcap.index import (
-    CHUNK_LIMIT,
     RECORDS_LIMIT,
     decompress,
     open_chunk,
@@ -57,26 +55,10 @@ def test_a_record_of_another_kind_is_an_error(tmp_path):
     source.close()
 
 
-@pytest.mark.parametrize("name", ["missing", "."])
-def test_what_cannot_be_opened_is_an_error(tmp_path, name):
-    with pytest.raises(RecapError, match=r"No such file|[Ii]s a directory"):
-        LocalSource(tmp_path / name)
-
-
 @pytest.mark.parametrize("rest", [b"\5", b"\5" + bytes(7), struct.pack("<BQ", 5, 1), b"\5" + b"\xff" * 8])
 def test_a_record_that_is_not_whole_is_an_error(rest):
     with pytest.raises(ValueError, match=r"left behind the last record|goes beyond"):
         list(split_records(struct.pack("<BQ", 5, 1) + b"a" + rest))
-
-
-@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
-@pytest.mark.parametrize("size", [0, 1, len(CONTENT) - 1, len(CONTENT) + 1, CHUNK_LIMIT])
-def test_another_size_than_announced_is_an_error(compression, size):
-    data = bytes(seal(CONTENT, compression).data)
-    if size == 0 and compression == "zstd":
-        data = zstandard.ZstdCompressor(write_content_size=True).compress(CONTENT)
-    with pytest.raises(ValueError, match=r"bytes after decompression|another size|damaged"):
-        decompress(compression, data, size)
 
 
 def test_an_lz4_bomb_is_unpacked_no_further_than_announced():

@@ -71,26 +71,6 @@ def decoded(path):
             yield found.channel.topic, found.message, found.decoded_message
 
 
-def test_every_message_decodes_with_the_plain_package(recording):
-    counts = Counter(topic for topic, _, message in decoded(recording) if message is not None)
-    with recording.open("rb") as file:
-        summary = make_reader(file, validate_crcs=True).get_summary()
-    assert summary
-    stated = summary.statistics.channel_message_counts
-    assert counts == {channel.topic: stated[id] for id, channel in summary.channels.items()}
-    for topic in ("/actors/stretches", "/vehicles/braking", "/collisions/contacts"):
-        counts.pop(topic, None)  # no frame holds them
-    expected = Counter()
-    with reading(recording) as reader:
-        for frame in reader.frames():
-            expected["/frames"] += 1
-            for packet in frame.packets:
-                known = packet.type is not None and not packet.type.opaque
-                if packet.id != 1 and bytes(packet.payload) != b"\0\0":
-                    expected[packet.type.topic if known else "/carla/raw"] += 1
-    assert counts == expected
-
-
 def test_the_values_are_those_of_the_records(recording):
     by_frame = {}
     for topic, message, content in decoded(recording):

@@ -94,10 +94,8 @@ def test_a_real_recording(renderer: RenderProcess) -> None:
     [
         ({"at": 60}, "crossing.log: nothing at 60 s; the recording ends at 53 s"),
         ({"at": float("nan")}, "nothing at nan s"),
-        ({"at": 5, "follow": 999}, "no actor 999 to follow; known ids are"),
         ({"at": 5, "follow": 104}, "actor 104 is not present at 5 s, so it cannot be followed"),
         ({"at": 5, "size": (10, 10)}, "the sides of a picture are from 64 to 4096 pixels"),
-        ({"at": 5, "view": 7}, "no camera 7 is recorded"),
     ],
 )
 def test_invalid_arguments_are_errors_of_one_line(crossing: Recording, tmp_path: Path, options: Any, message: str) -> None:
