@@ -197,6 +197,22 @@ def test_zeros_at_the_end_are_left_out(tmp_path, zeros):
 
 
 @pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (packet(0, bytes(16)), "expected a FrameStart of 24 bytes, found 16"),
+        (packet(0, bytes(25)), "expected a FrameStart of 24 bytes, found 25"),
+        (packet(1, b"x"), "expected a FrameEnd of 0 bytes, found 1"),
+    ],
+)
+def test_a_frame_of_the_wrong_size_is_an_error_with_its_offset(tmp_path, broken, message):
+    path = save(tmp_path / "broken.log", small_log() + broken + END)
+    with pytest.raises(FormatError, match=message) as caught:
+        images(path)
+    assert caught.value.offset == len(small_log())
+    assert str(caught.value).startswith(f"{path}: byte {len(small_log())}: ")
+
+
+@pytest.mark.parametrize(
     ("payload", "message", "at"),
     [
         (b"", "a count of 2 bytes need 2 bytes, the packet has 0", 0),

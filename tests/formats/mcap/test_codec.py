@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor import FieldDescriptor as Field
 from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 from carla_recap.errors import RecapWarning, RecordError
 from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, STATIONARY, TAIL_MESSAGE
-from carla_recap.model.layout import MAX_COUNT, Framing, PayloadError, pack
+from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, pack
 from carla_recap.model.records import UE4, UE5, Spawn, attributes
 from carla_recap.model.stationary import BlockedRow
 from tests import strategies
@@ -23,6 +24,24 @@ from tests.twins.messages import decoded, every_type
 from tests.waiting import time_limit
 
 few = settings(max_examples=settings.default.max_examples // 6)  # of each type
+
+
+# Kind of a field in the table → types that it may have in a schema.
+KINDS = {
+    "u1": {Field.TYPE_UINT32, Field.TYPE_ENUM},
+    "i1": {Field.TYPE_INT32, Field.TYPE_ENUM},
+    "u4": {Field.TYPE_FIXED32},
+    "i4": {Field.TYPE_SFIXED32},
+    "u8": {Field.TYPE_FIXED64},
+    "f4": {Field.TYPE_FLOAT},
+    "f8": {Field.TYPE_DOUBLE},
+    FLAG: {Field.TYPE_BOOL},
+    TEXT: {Field.TYPE_STRING},
+}
+
+
+def head_fields(descriptor):
+    return [(f.name, f.number, f.type) for f in descriptor.fields if f.number < codec.ITEMS]
 
 
 def payload_of(type, data):
@@ -36,6 +55,43 @@ def encoded(type, payload, frame=3, elapsed=1.5):
 
 def message_of(type, payload):
     return codec.message_class(type.name, type.message_name).FromString(encoded(type, payload))
+
+
+# --- the schemas agree with the table --------------------------------------------------------------------
+
+
+def check_layout(layout: Layout, descriptor, wide: bool, first: int = 1) -> None:
+    for number, (name, kind) in enumerate(layout.fields.items(), first):
+        field = descriptor.fields_by_name[name]
+        assert field.number == number, f"{descriptor.full_name}.{name}"
+        if isinstance(kind, Many):
+            assert field.is_repeated
+            check_layout(kind.layouts[0], field.message_type, wide)
+            for other in kind.layouts[1:]:
+                assert set(other.fields) <= set(kind.layouts[0].fields)
+            continue
+        code = ("f8" if wide else "f4") if kind == REAL else kind
+        assert field.type in KINDS[code], f"{descriptor.full_name}.{name}"
+        assert field.has_presence, f"{descriptor.full_name}.{name} is not optional"
+
+
+@every_type
+def test_a_schema_has_the_fields_of_its_layout(type):
+    descriptor = codec.message_class(type.name, type.message_name).DESCRIPTOR
+    assert descriptor.full_name == type.message_name
+    assert head_fields(descriptor) == [("frame", 1, Field.TYPE_FIXED64), ("elapsed", 2, Field.TYPE_DOUBLE)]
+    raw = descriptor.fields_by_name["raw"]
+    assert (raw.number, raw.type) == (4, Field.TYPE_BYTES)
+    assert [f.number for f in descriptor.fields] == [1, 2, 3, 4]
+    if type.framing is Framing.SINGLE:
+        assert list(type.layout.fields) == [type.items]
+        check_layout(type.layout, descriptor, type.wide, first=codec.ITEMS)
+    else:
+        items = descriptor.fields_by_name[type.items]
+        assert items.number == codec.ITEMS
+        assert items.is_repeated
+        check_layout(type.layout, items.message_type, type.wide)
+        assert len(items.message_type.fields) == len(type.layout.fields)
 
 
 # --- what is written -------------------------------------------------------------------------------------
