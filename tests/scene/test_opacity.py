@@ -28,23 +28,13 @@ BUS = (3.0, 1.3, 2.0)
     ("others", "own", "expected"),
     [
         ([((30, 0, 0.7), CAR), ((0, 3.5, 0.7), CAR), ((-30, 0, 0.7), CAR)], 1, [1, 1, 1]),
-        ([((2.9, 0, 0.9), WALKER)], SEE_THROUGH, [1]),
-        ([((4, 0, 0.9), WALKER)], 1, [1]),
-        ([((-6.0, 0, 1.5), TRUCK)], 1, [IN_THE_WAY]),
-        *([[((x, 0, 4.0), BUS)], 1, [IN_THE_WAY]] for x in (-9.0, -10.0, -12.0)),
+        ([((2.9, 0, 0.9), WALKER)], SEE_THROUGH, [1]),  # it hides half of another
+        ([((4, 0, 0.9), WALKER)], 1, [1]),  # and less
+        ([((-6.0, 0, 1.5), TRUCK)], 1, [IN_THE_WAY]),  # it covers the followed actor
+        *([[((x, 0, 4.0), BUS)], 1, [IN_THE_WAY]] for x in (-9.0, -10.0, -12.0)),  # the camera is inside
         ([((-10.0, 1.5, 4.0), BUS)], 1, [IN_THE_WAY]),
         *([[((-10.0, aside, 4.0), BUS)], 1, [1]] for aside in (1.7, 4.0)),
-        ([((-6.0, 0, 1.5), (0.05, 0.05, 1.5))], 1, [1]),
-    ],
-    ids=[
-        "hides nothing",
-        "hides half of another",
-        "hides less",
-        "covers",
-        *["camera inside"] * 3,
-        "beside",
-        *["farther beside"] * 2,
-        "thin",
+        ([((-6.0, 0, 1.5), (0.05, 0.05, 1.5))], 1, [1]),  # it covers little
     ],
 )
 def test_what_is_see_through(others: list, own: float, expected: list[float]) -> None:
