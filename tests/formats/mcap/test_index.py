@@ -61,6 +61,11 @@ def test_a_record_that_is_not_whole_is_an_error(rest):
         list(split_records(struct.pack("<BQ", 5, 1) + b"a" + rest))
 
 
+def test_more_than_the_limit_is_an_error_before_anything_is_unpacked():
+    with pytest.raises(ValueError, match=f"a chunk of {CHUNK_LIMIT + 1} bytes, at most {CHUNK_LIMIT} are read"):
+        decompress("zstd", b"", CHUNK_LIMIT + 1)
+
+
 def test_an_lz4_bomb_is_unpacked_no_further_than_announced():
     data = lz4.frame.compress(bytes(100 << 20))
     with pytest.raises(ValueError, match="expected 1000 bytes after decompression, found 1001"):
