@@ -14,6 +14,7 @@ from mcap.opcode import Opcode
 
 from carla_recap import FormatError, NotARecording, open_recording, recover
 from carla_recap.formats.mcap.index import (
+    CHUNK_LIMIT,
     RECORDS_LIMIT,
     decompress,
     open_chunk,
