@@ -341,6 +341,7 @@ def test_trajectories_of_a_kind(crossing: Recording) -> None:
 def test_trajectories_in_the_axes_of_carla(crossing: Recording) -> None:
     ours, theirs = crossing.trajectories(), crossing.trajectories(axes="carla")
     for id, path in ours.items():
+        assert not any(np.signbit(values[values == 0]).any() for values in (path.y, path.vy, path.pitch, path.yaw))
         for name in path.columns():
             sign = -1 if name in ("y", "vy", "pitch", "yaw") else 1
             np.testing.assert_array_equal(getattr(theirs[id], name), sign * getattr(path, name))

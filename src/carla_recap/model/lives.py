@@ -56,7 +56,7 @@ class BoundingBox:
         if not all(map(math.isfinite, sizes)) or min(sizes[3:]) <= 0:
             return None
         x, y, z, *extent = (size * CM for size in sizes)
-        return cls(x, -y, z, *extent)
+        return cls(x, 0.0 - y, z, *extent)
 
 
 @dataclass(slots=True)

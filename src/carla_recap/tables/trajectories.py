@@ -231,14 +231,14 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, spawned: 
     known = counts(velocity)
     velocity, _ = motion_of(time, place, velocity, life_numbers(time, spawned))
     for values in (place, velocity):
-        values[1] *= flip
+        values[1] = flip * values[1] + 0.0  # no -0.0
     return Trajectory(
         id=id,
         time=time,
         **dict(zip("xyz", place, strict=True)),
         roll=records["roll"].astype(np.float64),
-        pitch=flip * records["pitch"].astype(np.float64),
-        yaw=flip * records["yaw"].astype(np.float64),
+        pitch=flip * records["pitch"].astype(np.float64) + 0.0,
+        yaw=flip * records["yaw"].astype(np.float64) + 0.0,
         **dict(zip(("vx", "vy", "vz"), velocity, strict=True)),
         velocity_recorded=known,
     )
