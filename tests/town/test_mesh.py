@@ -260,7 +260,7 @@ def test_a_town_is_made_once_and_read_from_the_cache(monkeypatch: pytest.MonkeyP
     text = opendrive(road())
     meshes = []
     for _ in range(2):
-        monkeypatch.setattr(town_module, "_towns", type(town_module._towns)())
+        town_module._town_mesh.cache_clear()
         meshes.append(town_mesh_of(text, "small"))
     assert len(made) == 1
     assert town_mesh_of(text, "small") is meshes[1]
@@ -268,7 +268,7 @@ def test_a_town_is_made_once_and_read_from_the_cache(monkeypatch: pytest.MonkeyP
     assert [len(tile.triangles) for tile in meshes[0].tiles] == [len(tile.triangles) for tile in meshes[1].tiles]
     (entry,) = tmp_path.iterdir()
     entry.write_bytes(entry.read_bytes()[:-1])
-    monkeypatch.setattr(town_module, "_towns", type(town_module._towns)())
+    town_module._town_mesh.cache_clear()
     assert town_mesh_of(text).tiles
     assert len(made) == 2
 

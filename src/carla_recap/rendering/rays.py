@@ -5,9 +5,8 @@ Axes are right-handed, but boxes alone may be in any axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -31,8 +30,7 @@ _THIN: Final = 1e-4  # m: half of the least size of an actor
 _TAG_OF_ACTOR: Final = 255
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class RayHits:
+class RayHits(NamedTuple):
     """The hits of rays on boxes."""
 
     ray: Integers  # the index of the ray of each hit, ascending
@@ -99,8 +97,7 @@ class OrientedBoxes:
         return ray, boxes[box]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class SurfaceHits:
+class SurfaceHits(NamedTuple):
     """The first hits of rays on a town and the actors in it."""
 
     ray: Integers  # the index of the ray of each hit, ascending
@@ -116,13 +113,8 @@ class SurfaceHits:
     @classmethod
     def joined(cls, parts: Sequence[SurfaceHits], firsts: Sequence[int]) -> SurfaceHits:
         """Return the hits of parts of the rays, at least one, as those of all, given the index of each part's first ray."""
-        return cls(
-            np.concatenate([part.ray + first for part, first in zip(parts, firsts, strict=True)]),
-            np.concatenate([part.actor for part in parts]),
-            np.concatenate([part.distance for part in parts]),
-            np.concatenate([part.cosine for part in parts]),
-            np.concatenate([part.tag for part in parts]),
-        )
+        moved = [part._replace(ray=part.ray + first) for part, first in zip(parts, firsts, strict=True)]
+        return cls(*map(np.concatenate, zip(*moved, strict=True)))
 
 
 class RayScene:

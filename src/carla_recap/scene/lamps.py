@@ -88,7 +88,6 @@ class VehicleLamps:
         self._braked: Floats = np.zeros(0)  # the latest time at which each has braked, in elapsed seconds
         self._slowing = _Slowing()
         self._time = -np.inf  # of the latest scene
-        self._found: dict[str, tuple[bytes, Ids, Indices, Indices]] = {}  # the last answers of `_columns`
 
     def flags(self, batch: SceneBatch, *, keep: bool = False) -> Integers:
         """Return the lit lamps of the vehicles in each scene, as bits of CARLA's VehicleLightState, (scenes, ids).
@@ -104,12 +103,12 @@ class VehicleLamps:
             return flags
         silent = np.ones(len(self.ids), np.bool_)  # those without recorded flags and controls
         lights = batch.frames.records("vehicle_lights")
-        known, where = self._columns("vehicle_lights", lights)
+        known, where = self._columns(lights)
         if len(known):
             silent[known] = False
             flags[:, known] = lights["flags"][:, where]
         controls = batch.frames.records("vehicle_controls")
-        known, where = self._columns("vehicle_controls", controls)
+        known, where = self._columns(controls)
         if len(known):
             silent[known] = False
             self._brake(batch, known, controls["brake"][:, where] > BRAKING, flags)
@@ -155,7 +154,6 @@ class VehicleLamps:
         if spawned:
             self._braked[np.isin(self.ids, list(spawned))] = -np.inf
             self._slowing.forget(spawned)
-        self._found.clear()
 
     def _brake(self, batch: SceneBatch, known: Indices, braking: Booleans, flags: Integers) -> None:
         """Light the brake lamps of some vehicles, given when these brake, (scenes, vehicles)."""
@@ -166,20 +164,17 @@ class VehicleLamps:
         self._braked[known] = braked[-1]
         flags[:, known] |= np.where(batch.time[:, None] - braked < HELD, BRAKE, 0)
 
-    def _columns(self, name: str, records: NDArray[np.void]) -> tuple[Indices, Indices]:
+    def _columns(self, records: NDArray[np.void]) -> tuple[Indices, Indices]:
         """Return the indices of the vehicles that have records, and the columns of the last record of each."""
         nothing = np.zeros(0, np.intp)
         if not records.size:
             return nothing, nothing
         recorded = records["id"][0]
-        key = recorded.tobytes()
-        if name not in self._found or self._found[name][0] != key:
-            order = np.argsort(recorded, kind="stable")
-            last = np.searchsorted(recorded[order], self.ids, "right") - 1
-            columns = order[last]
-            known = np.flatnonzero((last >= 0) & (recorded[columns] == self.ids))
-            self._found[name] = key, self.ids, known, columns[known]
-        return self._found[name][2:]
+        order = np.argsort(recorded, kind="stable")
+        last = np.searchsorted(recorded[order], self.ids, "right") - 1
+        columns = order[last]
+        known = np.flatnonzero((last >= 0) & (recorded[columns] == self.ids))
+        return known, columns[known]
 
 
 class _Slowing:

@@ -5,7 +5,6 @@ Axes are CARLA's: x forward, y right, z up.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import radians, tan, tau
 from typing import TYPE_CHECKING, Final
 
@@ -110,8 +109,7 @@ class LidarReturns:
             keep &= (intensity > self._limit) | (self._random.random(len(intensity)) < share)
         kept = hits.take(keep)
         if self._deviation:
-            distance = kept.distance + self._random.normal(0.0, self._deviation, len(kept.distance))
-            kept = replace(kept, distance=distance)
+            kept = kept._replace(distance=kept.distance + self._random.normal(0.0, self._deviation, len(kept.distance)))
         return kept, intensity[keep]
 
 

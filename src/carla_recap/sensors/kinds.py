@@ -89,6 +89,9 @@ class SensorType:
     # no such sensors
     leaderboard: Mapping[str, Value] | None = field(default=None, hash=False)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "attributes", MappingProxyType(self.attributes))
+
 
 def _share(text: str) -> SensorAttribute:
     """Return an attribute from 0 to 1."""
@@ -265,18 +268,11 @@ LEADERBOARD_CHOICES: Final[Mapping[Kind, tuple[str, ...]]] = MappingProxyType(
 
 
 def _camera(image: ImageKind, data: str) -> SensorType:
-    return SensorType(f"sensor.camera.{image}", "camera", data, MappingProxyType(_LENS), image)
+    return SensorType(f"sensor.camera.{image}", "camera", data, _LENS, image)
 
 
 _TYPES: Final = (
-    SensorType(
-        "sensor.camera.rgb",
-        "camera",
-        "images: red, green, blue",
-        MappingProxyType({**_LENS, **_FILM}),
-        ImageKind.RGB,
-        leaderboard={},
-    ),
+    SensorType("sensor.camera.rgb", "camera", "images: red, green, blue", {**_LENS, **_FILM}, ImageKind.RGB, leaderboard={}),
     _camera(ImageKind.DEPTH, "the depth along the axis of view in m, infinite for the sky"),
     _camera(ImageKind.SEMANTIC, "CARLA's semantic tags"),
     _camera(ImageKind.INSTANCE, "ids of actors, 0 for the town"),
@@ -286,42 +282,30 @@ _TYPES: Final = (
         "sensor.lidar.ray_cast",
         "lidar",
         "points in m with an intensity",
-        MappingProxyType({**_RAYS, **_DROPOFF}),
+        {**_RAYS, **_DROPOFF},
         leaderboard=_LEADERBOARD_LIDAR,
     ),
     SensorType(
         "sensor.lidar.ray_cast_semantic",
         "semantic_lidar",
         "points in m with the cosine of the incident angle, the id and the semantic tag of an actor",
-        MappingProxyType(_RAYS),
+        _RAYS,
     ),
     SensorType(
-        "sensor.other.radar",
-        "radar",
-        "velocity in m/s, azimuth and altitude in radians, depth in m",
-        MappingProxyType(_RADAR),
-        leaderboard={},
+        "sensor.other.radar", "radar", "velocity in m/s, azimuth and altitude in radians, depth in m", _RADAR, leaderboard={}
     ),
     SensorType(
-        "sensor.other.gnss",
-        "gnss",
-        "latitude and longitude in degrees, altitude in m",
-        MappingProxyType(_GNSS),
-        leaderboard=_LEADERBOARD_GNSS,
+        "sensor.other.gnss", "gnss", "latitude and longitude in degrees, altitude in m", _GNSS, leaderboard=_LEADERBOARD_GNSS
     ),
     SensorType(
         "sensor.other.imu",
         "imu",
         "acceleration in m/s², angular velocity in rad/s, compass in radians",
-        MappingProxyType(_IMU),
+        _IMU,
         leaderboard=_LEADERBOARD_IMU,
     ),
-    SensorType(
-        "sensor.speedometer", "speedometer", "the speed in m/s", MappingProxyType(_TICK), is_actor=False, leaderboard={}
-    ),
-    SensorType(
-        "sensor.opendrive_map", "map", "none: rigs leave it out", MappingProxyType(_TICK), is_actor=False, leaderboard={}
-    ),
+    SensorType("sensor.speedometer", "speedometer", "the speed in m/s", _TICK, is_actor=False, leaderboard={}),
+    SensorType("sensor.opendrive_map", "map", "none: rigs leave it out", _TICK, is_actor=False, leaderboard={}),
 )
 SENSOR_TYPES: Final[Mapping[str, SensorType]] = MappingProxyType({type.name: type for type in _TYPES})
 """The types of sensors that rigs can have, by their names."""

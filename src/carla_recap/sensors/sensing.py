@@ -161,11 +161,7 @@ def sensed_frames(
 
     `uncut` is what the recording is a clip of, if that is known: what has happened before is seen then.
     """
-    find_actor(recording.location, recording.actors.lives, options.actor, purpose="to carry the rig")
-    duration = 0.0 if math.isinf(options.duration) else options.duration
-    player = Player(recording, start=options.start, duration=duration)
-    town = _Town(recording, options.road_map, player)
-    return _Sensing(recording, rig, options, player, town, uncut).frames(progress)
+    return _Sensing(recording, rig, options, uncut).frames(progress)
 
 
 class _Town:
@@ -240,21 +236,13 @@ class _Clock:
 class _Sensing:
     """Senses a recording; see `sensed_frames` for the arguments."""
 
-    def __init__(
-        self,
-        recording: Recording,
-        rig: SensorRig,
-        options: SensingOptions,
-        player: Player,
-        town: _Town,
-        uncut: Uncut | None,
-    ) -> None:
+    def __init__(self, recording: Recording, rig: SensorRig, options: SensingOptions, uncut: Uncut | None) -> None:
+        find_actor(recording.location, recording.actors.lives, options.actor, purpose="to carry the rig")
+        duration = 0.0 if math.isinf(options.duration) else options.duration
         self._recording = recording
-        self._actor = options.actor
-        self._player = player
-        self._town = town
-        self._quality = options.quality
-        self._rate = options.rate
+        self._options = options
+        self._player = Player(recording, start=options.start, duration=duration)
+        self._town = _Town(recording, options.road_map, self._player)
         self._rig = tuple(rig)
         self._mounts = np.array(
             [(*(value / CM for value in (spec.x, spec.y, spec.z)), spec.roll, spec.pitch, spec.yaw) for spec in self._rig]
@@ -262,7 +250,7 @@ class _Sensing:
         self._clocks = {spec.id: _Clock(spec.number("sensor_tick")) for spec in self._rig}
         self._describer = SceneDescriber()
         if uncut is None:
-            self._describer.recall(player)
+            self._describer.recall(self._player)
         else:
             self._describer.recall_uncut(uncut)
         self._needs_motion = any(spec.kind in ("imu", "speedometer", "radar") for spec in self._rig)
@@ -281,7 +269,7 @@ class _Sensing:
             before = None
             sizes = [int(spec.number("image_size_x") * spec.number("image_size_y")) for spec in self._rig if spec.image]
             ahead = min(MOMENTS_AHEAD, _PIXELS_AHEAD // max(sum(sizes), 1))
-            scenes: Iterable[Scene] = self._player.scenes(self._rate)
+            scenes: Iterable[Scene] = self._player.scenes(self._options.rate)
             for scene in progress(scenes, self._player) if progress else scenes:
                 waiting.append(self._begin(scene, before))
                 before = scene
@@ -293,14 +281,19 @@ class _Sensing:
     def _open(self, stack: ExitStack) -> None:
         """Start what draws, and make the instruments; those that cannot work are left out with a warning."""
         kinds = {spec.kind for spec in self._rig}
+        casting = [spec for spec in self._rig if spec.kind in RAY_KINDS]
         with started_ahead(*processes_for(self._rig)):
             rays: RayProcess | None = None
-            if not kinds.isdisjoint(RAY_KINDS):
+            if casting:
                 with _as_warning("lidars and radars", kinds <= RAY_KINDS):
-                    rays = stack.enter_context(closing(self._ray_process()))
+                    town = self._town.mesh()
+                    rays = stack.enter_context(closing(RayProcess(town.tiles if town is not None else (), casting)))
             if "camera" in kinds:
+                from carla_recap.rendering.process import RenderProcess
+
                 with _as_warning("cameras", kinds == {"camera"}):
-                    self._cameras = RigCameras(stack.enter_context(self._renderer()))
+                    renderer = stack.enter_context(RenderProcess(self._town.mesh, quality=self._options.quality))
+                    self._cameras = RigCameras(renderer)
             if rays is not None:
                 with _as_warning("lidars and radars", kinds <= RAY_KINDS):
                     rays.wait()
@@ -311,21 +304,11 @@ class _Sensing:
             elif spec.kind in ("imu", "speedometer"):
                 self._instruments[spec.id] = _imu(spec) if spec.kind == "imu" else _speed
 
-    def _renderer(self) -> Any:
-        from carla_recap.rendering.process import RenderProcess
-
-        return RenderProcess(self._town.mesh, quality=self._quality)
-
-    def _ray_process(self) -> RayProcess:
-        town = self._town.mesh()
-        specs = [spec for spec in self._rig if spec.kind in RAY_KINDS]
-        return RayProcess(town.tiles if town is not None else (), specs)
-
     def _begin(self, scene: Scene, before: Scene | None) -> Callable[[], SensedFrame]:
         """Begin to sense a moment; return what waits for the images."""
         batch = scene.batch if len(scene.batch) == 1 else scene.batch[scene.row : scene.row + 1]
         description = self._describer.describe(batch)
-        carrier, pose = carrier_of(scene, self._actor)
+        carrier, pose = carrier_of(scene, self._options.actor)
         if carrier != self._carrier and self._cameras is not None:
             self._cameras.forget()
         self._carrier = carrier
@@ -374,8 +357,8 @@ class _Sensing:
         """Return the seconds between a scene and the one before."""
         if before is not None:
             return scene.time - before.time
-        if self._rate is not None:
-            return 1 / self._rate
+        if self._options.rate is not None:
+            return 1 / self._options.rate
         step = scene.frame.duration  # -1 in the last frame
         return step if 0 < step < MAX_STEP else _USUAL_STEP
 

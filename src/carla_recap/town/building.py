@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.scene.materials import Material
-    from carla_recap.util.arrays import Floats, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
 
 _CELL: Final = 4.0  # m
@@ -113,6 +113,14 @@ class TriangleGrid:
         heights = a[:, 2] + u * (b[:, 2] - a[:, 2]) + v * (c[:, 2] - a[:, 2])
         return index[hit] + start, heights[hit], self._keys[members[hit]]
 
+    def covers(self, points: Floats, within: float = 1.0, other_than: Integers | int = -1) -> Booleans:
+        """Return which points, (n, 3), are at about the height of a triangle, whose key is not theirs."""
+        index, heights, keys = self.hits(points)
+        own = np.broadcast_to(other_than, len(points))[index]
+        covered = np.zeros(len(points), np.bool_)
+        covered[index[(keys != own) & (np.abs(heights - points[index, 2]) < within)]] = True
+        return covered
+
     def highest(self, points: Floats, above: float = 0.5) -> Floats:
         """Return the height of the highest triangle at each point, NaN where there is none.
 
@@ -127,6 +135,34 @@ class TriangleGrid:
         found = np.full(len(points), -np.inf)
         np.maximum.at(found, index, heights)
         return np.where(np.isfinite(found), found, np.nan)
+
+
+def strip(points: int, wanted: Booleans) -> Integers:
+    """Return the triangles between two lines of points, the left and then the right one, of the wanted parts of them."""
+    first = np.flatnonzero(wanted)
+    lower = np.stack((first + points, first + points + 1, first + 1), axis=1)
+    return np.concatenate((lower, np.stack((first + points, first + 1, first), axis=1)))
+
+
+def interpolated(stations: Floats, known: Floats, points: Floats) -> Floats:
+    """Return the points of a line at stations, (n, axes), given those at known ones."""
+    return np.stack([np.interp(stations, known, axis) for axis in points.T], axis=1)
+
+
+def circle(count: int, turn: float = 0.0) -> Floats:
+    """Return a closed ring of points around the vertical axis, (count + 1, 3)."""
+    angles = turn + np.arange(count + 1) * 2 * np.pi / count
+    return np.stack((np.cos(angles), np.sin(angles), np.zeros(count + 1)), axis=1)
+
+
+def smoothed(heights: Floats, known: Booleans, times: int) -> Floats:
+    """Return a grid of heights of which those that are not known are means of those around, again and again."""
+    filled = heights
+    for _ in range(times):
+        padded = np.pad(filled, 1, mode="edge")
+        mean = (padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]) / 4
+        filled = np.where(known, heights, mean)
+    return filled
 
 
 class MeshBuilder:
@@ -155,13 +191,8 @@ class MeshBuilder:
         Normals are those at the points, (n, 3), or one, (3,); only the wanted parts between two successive points are added,
         (n - 1,).
         """
-        n = len(left)
-        first = np.flatnonzero(wanted)
-        triangles = np.concatenate(
-            (np.stack((first + n, first + n + 1, first + 1), 1), np.stack((first + n, first + 1, first), 1))
-        )
         both = np.broadcast_to(normals, left.shape)
-        self.add(np.concatenate((left, right)), np.concatenate((both, both)), triangles, material)
+        self.add(np.concatenate((left, right)), np.concatenate((both, both)), strip(len(left), wanted), material)
 
     def add_quads(self, corners: Floats, normals: Floats, material: Material) -> None:
         """Add quadrangles.

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.roads.stop_lines import drawn_stop_lines
 from carla_recap.scene.materials import Material
-from carla_recap.town.building import UP
+from carla_recap.town.building import UP, interpolated
 from carla_recap.town.road_surfaces import PAVED
 
 if TYPE_CHECKING:
@@ -124,8 +123,7 @@ def _area(shape: Floats) -> float:
     return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-@dataclass(frozen=True, eq=False)
-class _Line:
+class _Line(NamedTuple):
     """Parts of a line on a road, each a quadrangle."""
 
     corners: Floats
@@ -168,10 +166,8 @@ def _are_crowded(sections: Sequence[SampledSection], driving: TriangleGrid) -> l
     points = np.concatenate(borders)
     owners = np.repeat(np.arange(len(sections)), [len(border) for border in borders])
     numbers = np.array([section.number for section in sections])
-    index, heights, keys = driving.hits(points)
-    others = index[(keys != numbers[owners[index]]) & (np.abs(heights - points[index, 2]) < 1.0)]
     crowded = np.array([section.road.in_junction for section in sections])
-    crowded[owners[others]] = True
+    crowded[owners[driving.covers(points, other_than=numbers[owners])]] = True
     return [bool(each) for each in crowded]
 
 
@@ -180,9 +176,7 @@ def _inner(section: SampledSection) -> Floats:
     start, end = section.stations[[0, -1]]
     margin = min(1.0, (end - start) / 4)
     stations = np.linspace(start + margin, end - margin, int((end - start) / _INSPECTED) + 2)
-    columns = [[np.interp(stations, section.stations, axis) for axis in border.T] for border in section.borders]
-    points: Floats = np.moveaxis(np.array(columns), 1, 2).reshape(-1, 3)
-    return points
+    return np.concatenate([interpolated(stations, section.stations, border) for border in section.borders])
 
 
 def _repeated(corners: Floats, owners: NDArray[np.int64], materials: NDArray[np.uint8]) -> Booleans:
@@ -216,9 +210,7 @@ def _on_others(corners: Floats, owners: NDArray[np.int64], driving: TriangleGrid
     for side, sign in enumerate((1, -1)):
         points = middles.copy()
         points[:, :2] += sign * aside
-        index, heights, keys = driving.hits(points)
-        others = (keys != owners[index]) & (np.abs(heights - points[index, 2]) < 1.0)
-        covered[side, index[others]] = True
+        covered[side] = driving.covers(points, other_than=owners)
     return covered
 
 
@@ -314,8 +306,7 @@ def _quads(
     kept = np.interp(middles, known, wide.astype(np.float64)) > 0.5
     if style == "broken":
         kept &= np.abs(middles % period - period / 2) < _DASH / 2
-    points = np.stack([np.interp(found, known, axis) for axis in section.borders[border].T], axis=1)
-    lefts = np.stack([np.interp(found, known, axis) for axis in section.lefts.T], axis=1)
+    points, lefts = interpolated(found, known, section.borders[border]), interpolated(found, known, section.lefts)
     left, right = points + (shift + half) * lefts, points + (shift - half) * lefts
     corners: Floats = np.stack((right[:-1], right[1:], left[1:], left[:-1]), axis=1)[kept]
     corners[..., 2] += _LIFT
@@ -378,7 +369,7 @@ def _paint_crossing(painter: Painter, road: Road, crossing: RoadObject) -> None:
     along = sides[lengths.argmax()] / lengths.max()  # the direction of pedestrians
     frame = np.array((along, (-along[1], along[0])))
     outline = outline @ frame.T
-    if np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1]) < 0:
+    if _area(outline) < 0:
         outline = outline[::-1]
     low, high = outline[:, 0].min(), outline[:, 0].max()
     count = max(int((high - low) / _BARS + 0.5), 1)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections import OrderedDict
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from itertools import chain
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -139,17 +137,9 @@ def town_of_map(road_map: RoadMap | None) -> TownMesh | None:
         return None
 
 
-_towns: OrderedDict[bytes, TownMesh] = OrderedDict()
-_lock = Lock()
-
-
+@lru_cache(maxsize=_KEPT)
 def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) -> TownMesh:
     """Return the town of a text, or of a file."""
-    key = name.encode() + digest
-    with _lock:
-        if key in _towns:
-            _towns.move_to_end(key)
-            return _towns[key]
     with expecting(path):
         arrays = kept(digest, "town", TOWN_SOURCES, lambda: _arrays(*build_town(read_parts(path) if text is None else text)))
     columns = [arrays[column] for column in _COLUMNS]
@@ -158,12 +148,7 @@ def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) ->
     lights = [
         LightPost(id, row[:3], row[3].item()) for id, row in zip(arrays["ids"][0].tolist(), arrays["lights"][0], strict=True)
     ]
-    town = TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights, digest)
-    with _lock:
-        _towns[key] = town
-        while len(_towns) > _KEPT:
-            _towns.popitem(last=False)
-    return town
+    return TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights, digest)
 
 
 _COLUMNS: Final = ("vertices", "normals", "materials", "triangles")

@@ -12,7 +12,7 @@ import numpy as np
 from carla_recap.roads.cells import LARGEST_GAP, NO_AREA, find_areas
 from carla_recap.roads.opendrive import borders_at, limit_lanes, sparse_sections
 from carla_recap.scene.materials import Material
-from carla_recap.town.building import UP, TriangleGrid
+from carla_recap.town.building import UP, TriangleGrid, smoothed, strip
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -76,6 +76,11 @@ class SampledSection:
     borders: Floats  # the points of the borders, from the left, (lanes + 1, n, 3)
     lanes: tuple[RoadLane, ...]  # the lanes, from the left
     materials: tuple[Material | None, ...]  # their materials; None for those that are not drawn
+
+    @property
+    def drawn(self) -> list[int]:
+        """The lanes that are drawn."""
+        return [lane for lane, material in enumerate(self.materials) if material is not None]
 
     def is_driving(self, lane: int) -> bool:
         """Return whether a lane is for cars."""
@@ -166,14 +171,11 @@ def _grid(sections: Sequence[SampledSection], key_of: Callable[[SampledSection, 
             key = key_of(section, lane)
             if material is None or key is None:
                 continue
-            widths = section.widths(lane)
-            first = np.flatnonzero((widths[1:] > _NARROW) | (widths[:-1] > _NARROW))
             corners = np.concatenate((section.borders[lane], section.borders[lane + 1]))
             corners[:, 2] += height_of(material)
             vertices.append(corners)
-            parts = np.stack((first + n, first + n + 1, first + 1), 1), np.stack((first + n, first + 1, first), 1)
-            triangles.append(np.concatenate(parts) + count)
-            keys.append(np.full(2 * len(first), int(key)))
+            triangles.append(strip(n, _wide(section, lane)) + count)
+            keys.append(np.full(len(triangles[-1]), int(key)))
             count += 2 * n
     if not vertices:
         return TriangleGrid(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
@@ -183,9 +185,9 @@ def _grid(sections: Sequence[SampledSection], key_of: Callable[[SampledSection, 
 def add_lanes(builder: MeshBuilder, sections: Sequence[SampledSection], driving: TriangleGrid) -> None:
     """Add the surfaces of lanes, and the kerbs beside raised ones."""
     for section in sections:
-        for lane, material in enumerate(section.materials):
-            if material is None:
-                continue
+        for lane in section.drawn:
+            material = section.materials[lane]
+            assert material is not None
             height = height_of(material)
             wanted = _wide(section, lane)
             if height > 0 and section.road.in_junction:
@@ -206,11 +208,7 @@ def _on_lanes(section: SampledSection, lane: int, driving: TriangleGrid) -> Bool
     """Return which parts of a lane are on lanes for cars of other roads."""
     middles = (section.borders[lane] + section.borders[lane + 1]) / 2
     middles = (middles[1:] + middles[:-1]) / 2
-    index, heights, keys = driving.hits(middles)
-    is_on = (keys != section.number) & (np.abs(heights - middles[index, 2]) < 1.0)
-    on = np.zeros(len(middles), np.bool_)
-    on[index[is_on]] = True
-    return on
+    return driving.covers(middles, other_than=section.number)
 
 
 def _add_kerbs(builder: MeshBuilder, section: SampledSection, lane: int, wanted: Booleans) -> None:
@@ -322,21 +320,15 @@ def _squares(corners: Booleans) -> Booleans:
 def _grown(cells: Booleans) -> Booleans:
     padded = np.pad(cells, 1)
     grown: Booleans = cells.copy()
-    for i in range(3):
-        for j in range(3):
-            grown |= padded[i : i + cells.shape[0], j : j + cells.shape[1]]
+    for i, j in product(range(3), repeat=2):
+        grown |= padded[i : i + cells.shape[0], j : j + cells.shape[1]]
     return grown
 
 
 def _spread(heights: Floats) -> Floats:
     """Return heights with those of the surroundings where there is none."""
     known = np.isfinite(heights)
-    filled = np.where(known, heights, np.nanmean(heights))
-    for _ in range(_SMOOTHINGS):
-        padded = np.pad(filled, 1, mode="edge")
-        mean = (padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]) / 4
-        filled = np.where(known, heights, mean)
-    return filled
+    return smoothed(np.where(known, heights, np.nanmean(heights)), known, _SMOOTHINGS)
 
 
 def _boxes(cells: Booleans, longest: int) -> Iterator[tuple[int, int, int, int]]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.roads.barriers import barriers, left_handed
 from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, YIELD
 from carla_recap.scene.materials import Material
-from carla_recap.town.building import UP
+from carla_recap.town.building import UP, circle
 from carla_recap.town.markings import glyphs
 from carla_recap.town.road_surfaces import KERB_HEIGHT
 
@@ -60,8 +60,7 @@ class LightPost:
     heading: float  # the direction that the light faces, towards the drivers, in radians
 
 
-@dataclass(frozen=True, eq=False)
-class _Sign:
+class _Sign(NamedTuple):
     kind: str
     text: str
     location: Floats
@@ -133,29 +132,25 @@ def _plate(sign: _Sign) -> Iterator[tuple[Floats, Material]]:
 
 
 def _regular(count: int, radius: float, turn: float = 0.0) -> Floats:
-    angles = turn + np.arange(count) * 2 * np.pi / count
-    return radius * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    return radius * circle(count, turn)[:-1, :2]
 
 
 def _add_plate(builder: MeshBuilder, foot: Floats, heading: float, shape: Floats, material: Material, layer: int) -> None:
     forward = np.array((np.cos(heading), np.sin(heading), 0.0))  # towards the drivers
     left = np.array((np.sin(heading), -np.cos(heading), 0.0))  # as they see it
-    up = np.array((0.0, 0.0, 1.0))
-    level = min(layer, 2)
-    middle = foot + _PLATE_HEIGHT * up + (_POLE + (1 + level) * _LAYER) * forward
-    corners = middle + shape[:, :1] * up + shape[:, 1:] * left
+    middle = foot + _PLATE_HEIGHT * UP + (_POLE + (1 + min(layer, 2)) * _LAYER) * forward
+    corners = middle + shape[:, :1] * UP + shape[:, 1:] * left
     builder.add_polygon(corners, forward, material)
     if layer == 0:
         builder.add_polygon(corners[::-1] - _LAYER * forward, -forward, Material.SIGN_BACK)
 
 
 def _add_pole(builder: MeshBuilder, foot: Floats) -> None:
-    angles = np.arange(7) * np.pi / 3
-    around = np.stack((np.cos(angles), np.sin(angles), np.zeros(7)), axis=1)
+    around = circle(6)
     bottom = foot + _POLE * around - (0.0, 0.0, 0.3)
     top = foot + _POLE * around + (0.0, 0.0, _PLATE_HEIGHT + 0.3)
     builder.add_strip(top, bottom, around, Material.POLE, np.ones(6, np.bool_))
-    builder.add_polygon(top[:6], np.array((0.0, 0.0, 1.0)), Material.POLE)
+    builder.add_polygon(top[:6], UP, Material.POLE)
 
 
 def add_barriers(builder: MeshBuilder, lanes: Sequence[LaneGeometry]) -> None:
@@ -229,8 +224,7 @@ def _around(cells: set[tuple[int, int]], distance: int) -> set[tuple[int, int]]:
 
 
 def _have_room(feet: Floats, surfaces: TriangleGrid) -> NDArray[np.bool_]:
-    angles = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
-    ring = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    ring = circle(12)[:-1, :2]
     offsets = np.concatenate((np.zeros((1, 2)), ring[::2] * _TREE_ROOM / 2, ring * _TREE_ROOM))
     index, _, _ = surfaces.hits((feet[:, None] + offsets).reshape(-1, 2))
     room = np.ones(len(feet), np.bool_)
@@ -245,16 +239,14 @@ def _are_steep(feet: Floats, terrain: Terrain) -> NDArray[np.bool_]:
 
 
 def _add_tree(builder: MeshBuilder, foot: Floats, size: float, turn: float, *, is_conifer: bool) -> None:
-    angles = turn + np.arange(_SIDES + 1) * 2 * np.pi / _SIDES
-    around = np.stack((np.cos(angles), np.sin(angles), np.zeros(_SIDES + 1)), axis=1)
+    around = circle(_SIDES, turn)
     top, bottom = (
         foot + around * radius * size + (0.0, 0.0, height * size) for radius, height in ((0.1, 2.6), (0.18, -0.4))
     )
     builder.add_strip(top, bottom, around, Material.TRUNK, np.ones(_SIDES, np.bool_))
     levels = ((1.9, 1.4), (1.1, 3.8), (0.0, 6.2)) if is_conifer else ((0.9, 1.9), (1.9, 3.2), (1.5, 4.6), (0.0, 5.6))
     count = 6
-    angles = turn + np.arange(count + 1) * 2 * np.pi / count
-    around = np.stack((np.cos(angles), np.sin(angles), np.zeros(count + 1)), axis=1)
+    around = circle(count, turn)
     rings = [foot + size * (radius * around + np.array((0.0, 0.0, height))) for radius, height in levels]
     middle = (levels[0][1] + levels[-1][1]) / 2
     for lower, upper in pairwise(rings):

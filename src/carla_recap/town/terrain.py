@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.scene.materials import Material
-from carla_recap.town.building import TILE, UP
+from carla_recap.town.building import TILE, UP, interpolated, smoothed
 from carla_recap.town.road_surfaces import KERB_HEIGHT
 
 if TYPE_CHECKING:
@@ -119,13 +119,10 @@ def _spread(section: SampledSection) -> Floats:
     """Return points that cover a section."""
     count = max(int((section.stations[-1] - section.stations[0]) / _SAMPLES), 1) + 1
     stations = np.linspace(section.stations[0], section.stations[-1], count)
-    drawn = [lane for lane, material in enumerate(section.materials) if material is not None]
+    drawn = section.drawn
     if not drawn:
         return np.zeros((0, 3))
-    sides = [
-        np.stack([np.interp(stations, section.stations, axis) for axis in section.borders[border].T], axis=1)
-        for border in (drawn[0], drawn[-1] + 1)
-    ]
+    sides = [interpolated(stations, section.stations, section.borders[border]) for border in (drawn[0], drawn[-1] + 1)]
     across = int(min(np.linalg.norm(sides[0] - sides[1], axis=1).max() / _SAMPLES, 200)) + 2
     shares = np.linspace(0.0, 1.0, across)[:, None, None]
     points: Floats = (sides[0] + shares * (sides[1] - sides[0])).reshape(-1, 3)
@@ -142,12 +139,7 @@ def _at_corners(cells: Floats) -> Floats:
 def _filled(heights: Floats) -> Floats:
     """Return heights without gaps, which are infinite before: smooth in between, level far outside."""
     known = np.isfinite(heights)
-    filled = _pyramid(np.where(known, heights, 0.0), known.astype(np.float64))
-    for _ in range(_SMOOTHINGS):
-        padded = np.pad(filled, 1, mode="edge")
-        mean = (padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]) / 4
-        filled = np.where(known, heights, mean)
-    return filled
+    return smoothed(_pyramid(np.where(known, heights, 0.0), known.astype(np.float64)), known, _SMOOTHINGS)
 
 
 def _pyramid(sums: Floats, weights: Floats) -> Floats:
@@ -167,7 +159,7 @@ def _pyramid(sums: Floats, weights: Floats) -> Floats:
 def add_edges(builder: MeshBuilder, sections: Sequence[SampledSection], terrain: Terrain, surfaces: TriangleGrid) -> None:
     """Add what is at the outer edges of roads: slopes down to the ground, or the sides and undersides of bridges."""
     for section in sections:
-        drawn = [lane for lane, material in enumerate(section.materials) if material is not None]
+        drawn = section.drawn
         if not drawn:
             continue
         spans = []
@@ -180,7 +172,7 @@ def add_edges(builder: MeshBuilder, sections: Sequence[SampledSection], terrain:
             high = edge[:, 2] - terrain.heights(edge) > _SPAN
             span = high[1:] | high[:-1]
             spans.append(span)
-            free = ~_covered(edge + 0.6 * outwards, surfaces)
+            free = ~surfaces.covers(edge + 0.6 * outwards, 0.5)
             free = free[1:] | free[:-1]
             _add_verge(builder, edge, outwards, up, free & ~span, surfaces)
             _add_side(builder, edge, outwards, up, span & free)
@@ -189,14 +181,6 @@ def add_edges(builder: MeshBuilder, sections: Sequence[SampledSection], terrain:
         builder.add_strip(
             section.borders[drawn[-1] + 1] - down, section.borders[drawn[0]] - down, -UP, Material.BRIDGE, span
         )
-
-
-def _covered(points: Floats, surfaces: TriangleGrid) -> Booleans:
-    """Return which points are on surfaces at about their height."""
-    index, heights, _ = surfaces.hits(points)
-    covered = np.zeros(len(points), np.bool_)
-    covered[index[np.abs(heights - points[index, 2]) < 0.5]] = True
-    return covered
 
 
 def _add_verge(
@@ -219,8 +203,7 @@ def _add_verge(
         across = np.linalg.norm(slope[:, :2], axis=1)
         normals = outwards * slope[:, 2:] + UP * np.maximum(across, 0.01)[:, None]
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        forward = np.cross(outwards[0], UP) @ (edge[-1] - edge[0]) > 0  # on the left
-        left, right = (outer, inner) if forward else (inner, outer)
+        left, right = (outer, inner) if _is_left(edge, outwards) else (inner, outer)
         builder.add_strip(left, right, normals, Material.GRASS, wanted)
 
 
@@ -228,14 +211,15 @@ def _add_side(builder: MeshBuilder, edge: Floats, outwards: Floats, up: Floats, 
     """Add the side of a bridge, with a parapet."""
     if not wanted.any():
         return
-    forward = np.cross(outwards[0], UP) @ (edge[-1] - edge[0]) > 0  # on the left
     top = edge + np.stack((0 * up, 0 * up, up + _PARAPET), axis=1)
     outer = top + 0.2 * outwards
     bottom = edge + 0.2 * outwards - (0.0, 0.0, _DECK)
-    foot = edge - (0.0, 0.0, KERB_HEIGHT)
-    for upper, lower, normals in ((top, foot, -outwards), (outer, top, UP), (bottom, outer, outwards)):
-        left, right = (upper, lower) if forward else (lower, upper)
+    foot, under = (edge - (0.0, 0.0, depth) for depth in (KERB_HEIGHT, _DECK))
+    for upper, lower, normals in ((top, foot, -outwards), (outer, top, UP), (bottom, outer, outwards), (under, bottom, -UP)):
+        left, right = (upper, lower) if _is_left(edge, outwards) else (lower, upper)
         builder.add_strip(left, right, normals, Material.BRIDGE, wanted)
-    under = edge - (0.0, 0.0, _DECK)
-    left, right = (under, bottom) if forward else (bottom, under)
-    builder.add_strip(left, right, -UP, Material.BRIDGE, wanted)
+
+
+def _is_left(edge: Floats, outwards: Floats) -> bool:
+    """Return whether an edge is on the left of a road."""
+    return bool(np.cross(outwards[0], UP) @ (edge[-1] - edge[0]) > 0)
