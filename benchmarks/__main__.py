@@ -77,7 +77,6 @@ def measure_rows(rows: Iterable[Row], subject: Subject, stored: Path | None = No
     print_cells("what", "measured", "ratio", "goal", "met?")
     for row in rows:
         show_progress(row.__name__)
-        begin = time.monotonic()
         try:
             lines = in_new_process(measure, row, subject)
         except Missing as missing:
@@ -96,7 +95,7 @@ def measure_rows(rows: Iterable[Row], subject: Subject, stored: Path | None = No
             print_cells(row.__name__, "left out: a file that it needs is missing")
         elif stored:
             results = load(stored)
-            results[row.__name__] = Result(conditions, round(time.monotonic() - begin), tuple(lines))
+            results[row.__name__] = Result(conditions, tuple(lines))
             save({row.__name__: results[row.__name__] for row in ROWS if row.__name__ in results}, stored)
     return failed
 

@@ -64,6 +64,8 @@ ORDER: Final = (
 )
 ONLY_WITH_RECORDS: Final = {"trigger_volumes"}
 
+CAR: Final = {"generation": "1", "number_of_wheels": "4", "sticky_control": "true", "object_type": ""}
+PEDESTRIAN: Final = {"generation": "1", "is_invincible": "true", "role_name": "pedestrian", "speed": "1.4"}
 CARS: Final = ("audi.tt", "ford.mustang", "lincoln.mkz_2017", "nissan.micra", "tesla.model3", "volkswagen.t2")
 MESHES: Final = ("Garden/SM_PlasticChair.SM_PlasticChair", "Bin/SM_Bin.SM_Bin")
 SPECTATOR: Final = (542.5, 4236.7, 490.9, 0.0, 0.0, -131.8)
@@ -129,18 +131,10 @@ class Hour:
         return self._next_id - 1
 
     def _spawn(
-        self,
-        index: int,
-        id: int,
-        kind: ActorKind,
-        type_id: str,
-        pose: Iterable[float],
-        uid: int = 0,
-        **attributes: str,
+        self, index: int, id: int, kind: ActorKind, type_id: str, pose: Iterable[float], uid: int = 0, **attributes: str
     ) -> None:
-        x, y, z, roll, pitch, yaw = pose
         held = [Attribute(_code(value), key, value) for key, value in attributes.items()]
-        self._events[index]["spawned"].append(Spawn(id, kind, x, y, z, roll, pitch, yaw, uid, type_id, held))
+        self._events[index]["spawned"].append(Spawn(id, kind, *pose, uid, type_id, held))
 
     def _plan_lights(self) -> None:
         """Plan the traffic lights, in groups of three: one is green or yellow, the others are red."""
@@ -177,8 +171,7 @@ class Hour:
         """Plan an actor that moves along a closed curve, with stops; each jump moves it to another position on the curve."""
         rng, count = self._rng, self.count
         car = slot < FIRST_WALKER
-        cruise, go, halt = ((500, 1400), (30, 150), (10, 60)) if car else ((90, 180), (30, 200), (5, 30))
-        speed = stop_and_go(rng, count, cruise, go, halt)
+        speed = stop_and_go(rng, count, car=car)
         if FIRST_WALKER - PARKED <= slot < FIRST_WALKER:
             speed[:] = 0
         distance = np.cumsum(speed * TICK)
@@ -217,36 +210,13 @@ class Hour:
         self._poses["id"][index:, slot] = id
         pose = self._poses[index, slot].item()[1:]
         if slot < FIRST_WALKER:
-            self._spawn(
-                index,
-                id,
-                ActorKind.VEHICLE,
-                f"vehicle.{CARS[slot % len(CARS)]}",
-                pose,
-                uid=26,
-                generation="1",
-                number_of_wheels="4",
-                sticky_control="true",
-                object_type="",
-                color=",".join(map(str, self._rng.integers(0, 256, 3))),
-                role_name="hero" if slot == HERO else "autopilot",
-            )
+            type_id, color = f"vehicle.{CARS[slot % len(CARS)]}", ",".join(map(str, self._rng.integers(0, 256, 3)))
+            role = "hero" if slot == HERO else "autopilot"
+            self._spawn(index, id, ActorKind.VEHICLE, type_id, pose, 26, **CAR, color=color, role_name=role)
             self._events[index]["bounding_boxes"].append((id, 2.2, 0, 72.4, 245.1, 106.1, 75.5))
         else:
-            self._spawn(
-                index,
-                id,
-                ActorKind.WALKER,
-                f"walker.pedestrian.{1 + slot % 29:04}",
-                pose,
-                uid=5,
-                age="adult",
-                gender="female" if slot % 2 else "male",
-                generation="1",
-                is_invincible="true",
-                role_name="pedestrian",
-                speed="1.4",
-            )
+            type_id, gender = f"walker.pedestrian.{1 + slot % 29:04}", "female" if slot % 2 else "male"
+            self._spawn(index, id, ActorKind.WALKER, type_id, pose, 5, age="adult", gender=gender, **PEDESTRIAN)
             self._events[index]["bounding_boxes"].append((id, 0, 0, 0, 18.8, 18.8, 93))
 
     def _plan_sensors(self) -> None:
@@ -288,14 +258,9 @@ def _code(value: str) -> int:
     return 1 if value.isdigit() else 2 if value.replace(".", "", 1).isdigit() else 3
 
 
-def stop_and_go(
-    rng: np.random.Generator,
-    count: int,
-    cruise: tuple[float, float],
-    go: tuple[float, float],
-    halt: tuple[float, float],
-) -> Floats:
+def stop_and_go(rng: np.random.Generator, count: int, *, car: bool) -> Floats:
     """Return the speed in each frame in cm/s: `go` seconds at a `cruise` speed, `halt` seconds of rest, ramps of 3 s."""
+    cruise, go, halt = ((500, 1400), (30, 150), (10, 60)) if car else ((90, 180), (30, 200), (5, 30))
     ramp = 3 * RATE
     legs = int((count + ramp) / RATE / (go[0] + halt[0])) + 2
     seconds = np.column_stack((rng.uniform(*go, legs), rng.uniform(*halt, legs)))

@@ -31,16 +31,9 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Result:
-    """What a row has measured.
-
-    Attributes:
-        conditions: When and on what it was measured.
-        seconds: The time that the row took in all.
-        lines: Its lines of the table.
-    """
+    """What a row has measured: when and on what, and its lines of the table."""
 
     conditions: Conditions
-    seconds: int
     lines: tuple[Line, ...]
 
 
@@ -52,7 +45,6 @@ def load(path: Path = RESULTS) -> dict[str, Result]:
     return {
         name: Result(
             Conditions(**{field.name: result[field.name] for field in fields(Conditions)}),
-            result["seconds"],
             tuple(Line(**line) for line in result["lines"]),
         )
         for name, result in found.items()
@@ -63,9 +55,10 @@ def save(results: Mapping[str, Result], path: Path = RESULTS) -> None:
     """Write the results, a line of text for each of their lines."""
     rows = []
     for name, result in results.items():
-        head = asdict(result.conditions) | {"seconds": result.seconds}
         lines = ",\n".join(f"      {_json(asdict(line))}" for line in result.lines)
-        rows.append(f'  {_json(name)}: {{\n    {_json(head)[1:-1]},\n    "lines": [\n{lines}\n    ]\n  }}')
+        rows.append(
+            f'  {_json(name)}: {{\n    {_json(asdict(result.conditions))[1:-1]},\n    "lines": [\n{lines}\n    ]\n  }}'
+        )
     unfinished = path.with_suffix(".unfinished")
     unfinished.write_text("{\n" + ",\n".join(rows) + "\n}\n", "utf-8")
     unfinished.replace(path)
@@ -76,7 +69,7 @@ def current_conditions() -> Conditions:
     return Conditions(
         date=datetime.now(UTC).date().isoformat(),
         commit=_commit(),
-        machine=f"{_cores()} cores of {_processor()}, {platform.system()}",
+        machine=f"{os.cpu_count()} cores of {_processor()}, {platform.system()}",
         python=platform.python_version(),
     )
 
@@ -94,10 +87,6 @@ def _commit() -> str:
 def _git(*arguments: str) -> str:
     command = ["git", "-C", str(RESULTS.parents[1]), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _processor() -> str:

@@ -44,8 +44,8 @@ def test_the_figures_in_another_page_are_those_of_the_stored_results(name):
 
 
 CALM = Conditions("2026-01-02", "abc1234", "2 cores of Z80, Linux", "3.12.1")
-FAST = Result(CALM, 12, (Line("speed", "2.04 s", "30 x real time", "≥ 20 x", True),))
-SMALL = Result(replace(CALM, date="2026-01-03", commit="abc1234+"), 1, (Line("size, “all”", "4 MB", "", "", True),))
+FAST = Result(CALM, (Line("speed", "2.04 s", "30 x real time", "≥ 20 x", True),))
+SMALL = Result(replace(CALM, date="2026-01-03", commit="abc1234+"), (Line("size, “all”", "4 MB", "", "", True),))
 
 
 def fine(subject):

@@ -317,7 +317,7 @@ def test_without_embree_rays_meet_boxes_and_the_log_says_why_once(
         raise MissingExtra("rays that meet the ground", "cameras")
 
     monkeypatch.setattr(surfaces, "_ray_scene", missing)
-    monkeypatch.setattr(surfaces, "_load", lambda _: TownMesh.of_tiles("", []))
+    monkeypatch.setattr(surfaces, "_load", lambda _: TownMesh("", []))
     town, loader = replace(flat_town(), opendrive="<OpenDRIVE/>"), TownSurfaces()
     for _ in range(2):
         wait([loader.rays(town)], PATIENCE)
@@ -329,7 +329,7 @@ def test_without_embree_rays_meet_boxes_and_the_log_says_why_once(
 def test_the_surfaces_of_each_map_are_loaded_ahead_if_that_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     def load(town: Town) -> TownMesh:
         loaded.append(town.name)
-        return TownMesh.of_tiles("", [])
+        return TownMesh("", [])
 
     loaded: list[str] = []
     monkeypatch.setattr(surfaces, "_load", load)

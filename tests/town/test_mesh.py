@@ -38,7 +38,7 @@ def marked(id: int) -> str:
 
 
 def built(*roads: str) -> TownMesh:
-    return TownMesh.of_tiles("", *build_town(opendrive(*roads)))
+    return TownMesh("", *build_town(opendrive(*roads)))
 
 
 def faces(town: TownMesh, *materials: Material) -> np.ndarray:
@@ -314,7 +314,7 @@ def test_the_lanes_of_carlas_towns_have_road_beneath_them_and_lines_upon_them(na
     text = carla_town(name).read_text()
     waypoints = carla.Map("", text).generate_waypoints(2.0)
     points = np.array([(w.transform.location.x, -w.transform.location.y, w.transform.location.z) for w in waypoints])
-    town = TownMesh.of_tiles(name, *build_town(text))
+    town = TownMesh(name, *build_town(text))
     assert np.abs(town.ground_height(points) - points[:, 2]).max() < 0.05
     paved = surface(town, Material.ROAD, Material.JUNCTION, Material.SHOULDER, Material.MEDIAN, Material.SIDEWALK)
     painted = faces(town, Material.WHITE_LINE, Material.YELLOW_LINE, Material.CROSSING, Material.STOP_LINE).mean(axis=1)

@@ -31,47 +31,28 @@ class Look(NamedTuple):
 
 
 _VEHICLES: Final = (
-    ("firetruck", "fire engine"),
+    ("fire engine", "firetruck"),
     ("ambulance", "ambulance"),
-    ("police", "police car"),
-    ("taxi", "taxi"),
-    ("crown", "taxi"),
-    ("fusorosa", "bus"),
-    ("bus", "bus"),
-    ("carlacola", "box truck"),
-    ("hgv", "lorry"),
-    ("cybertruck", "pickup"),
-    ("pickup", "pickup"),
-    ("sprinter", "van"),
-    ("t2", "minibus"),
-    ("vespa", "scooter"),
-    ("low_rider", "motorcycle"),
-    ("ninja", "motorcycle"),
-    ("yzf", "motorcycle"),
-    ("crossbike", "bicycle"),
-    ("century", "bicycle"),
-    ("omafiets", "bicycle"),
-    ("wrangler", "off-roader"),
-    ("patrol", "suv"),
-    ("etron", "suv"),
-    ("audi.tt", "coupe"),
-    ("mustang", "coupe"),
-    ("coupe", "coupe"),
-    ("audi.a2", "hatchback"),
-    ("grandtourer", "hatchback"),
-    ("c3", "hatchback"),
-    ("microlino", "microcar"),
-    ("isetta", "microcar"),
-    ("mini", "hatchback"),
-    ("micra", "hatchback"),
-    ("leon", "hatchback"),
-    ("prius", "sedan"),
-    ("model3", "sedan"),
-    ("impala", "sedan"),
-    ("charger", "sedan"),
-    ("mkz", "sedan"),
+    ("police car", "police"),
+    ("taxi", "taxi crown"),
+    ("bus", "fusorosa bus"),
+    ("box truck", "carlacola"),
+    ("lorry", "hgv"),
+    ("pickup", "cybertruck pickup"),
+    ("van", "sprinter"),
+    ("minibus", "t2"),
+    ("scooter", "vespa"),
+    ("motorcycle", "low_rider ninja yzf"),
+    ("bicycle", "crossbike century omafiets"),
+    ("off-roader", "wrangler"),
+    ("suv", "patrol etron"),
+    ("coupe", "audi.tt mustang coupe"),
+    ("hatchback", "audi.a2 grandtourer c3"),
+    ("microcar", "microlino isetta"),
+    ("hatchback", "mini micra leon"),
+    ("sedan", "prius model3 impala charger mkz"),
 )
-"""The models of vehicles whose names contain some words; the first ones count."""
+"""The models of vehicles whose names contain one of some words; the first words count."""
 
 _TAGS: Final = {
     "box truck": Tag.TRUCK,
@@ -259,9 +240,10 @@ def _color_of(attributes: Mapping[str, str]) -> Color | None:
 def _vehicle_of(type_id: str, attributes: Mapping[str, str], box: BoundingBox | None) -> str:
     """Return the model of a vehicle: by its name, else by its type, its wheels and its size."""
     lowered = other_names().get(type_id, type_id).lower()
-    for part, name in _VEHICLES:
-        if re.search(rf"(?<![a-z0-9]){re.escape(part)}(?![a-z])", lowered):  # mkz is in mkz2017, but t2 is not in test2
-            return name
+    for name, words in _VEHICLES:
+        for word in words.split():
+            if re.search(rf"(?<![a-z0-9]){re.escape(word)}(?![a-z])", lowered):  # mkz is in mkz2017, but t2 is not in test2
+                return name
     length, height = (2 * box.extent_x, 2 * box.extent_z) if box else (0.0, 0.0)
     base = attributes.get("base_type", "")
     if base in ("bicycle", "motorcycle", "van", "bus"):

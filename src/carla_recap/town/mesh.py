@@ -52,23 +52,21 @@ class TownMesh:
 
     Attributes:
         name: The name of the map; empty where there is none.
-        tiles: The triangles by squares of about 50 m.
-        bounds: The least and the largest corner of each tile, (tiles, 2, 3), in m.
+        tiles: The triangles by squares of about 50 m, none of which is empty.
         lights: The traffic lights of the map.
         digest: A digest of the map; empty where there is none.
     """
 
     name: str
     tiles: list[Mesh]
-    bounds: Floats
     lights: list[LightPost] = field(default_factory=list)
     digest: bytes = b""
 
-    @classmethod
-    def of_tiles(cls, name: str, tiles: list[Mesh], lights: list[LightPost] | None = None, digest: bytes = b"") -> TownMesh:
-        """Return a town of tiles, none of which is empty."""
-        bounds = [(tile.vertices.min(axis=0), tile.vertices.max(axis=0)) for tile in tiles]
-        return cls(name, tiles, np.array(bounds, np.float64).reshape(-1, 2, 3), lights or [], digest)
+    @cached_property
+    def bounds(self) -> Floats:
+        """The least and the largest corner of each tile, (tiles, 2, 3), in m."""
+        bounds = [(tile.vertices.min(axis=0), tile.vertices.max(axis=0)) for tile in self.tiles]
+        return np.array(bounds, np.float64).reshape(-1, 2, 3)
 
     def ground_height(self, points: Floats) -> Floats:
         """Return the height of the ground at points, in m; NaN where there is none.
@@ -148,7 +146,7 @@ def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) ->
     lights = [
         LightPost(id, row[:3], row[3].item()) for id, row in zip(arrays["ids"][0].tolist(), arrays["lights"][0], strict=True)
     ]
-    return TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights, digest)
+    return TownMesh(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights, digest)
 
 
 _COLUMNS: Final = ("vertices", "normals", "materials", "triangles")

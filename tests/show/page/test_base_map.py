@@ -30,7 +30,7 @@ def mesh(points: list[tuple[float, float]], triangles: list[tuple[int, int, int]
 
 def test_two_triangles_have_one_outline() -> None:
     square = mesh([(0, 0), (4, 0), (4, 2), (0, 2)], [(0, 1, 2), (0, 2, 3)], Material.ROAD)
-    (found,) = outlines(TownMesh.of_tiles("", [square]))
+    (found,) = outlines(TownMesh("", [square]))
     assert found.layer == "road"
     assert sorted(map(tuple, found.rings[0].tolist())) == [(0, 0), (0, 2), (4, 0), (4, 2)]
     assert area(found.rings[0]) == pytest.approx(8)
@@ -39,7 +39,7 @@ def test_two_triangles_have_one_outline() -> None:
 def test_a_hole_runs_the_other_way_around() -> None:
     outer, inner = [(0, 0), (9, 0), (9, 9), (0, 9)], [(3, 3), (6, 3), (6, 6), (3, 6)]
     around = [triangle for i in range(4) for triangle in ((i, (i + 1) % 4, 4 + i), ((i + 1) % 4, 4 + (i + 1) % 4, 4 + i))]
-    (found,) = outlines(TownMesh.of_tiles("", [mesh([*outer, *inner], around, Material.SIDEWALK)]))
+    (found,) = outlines(TownMesh("", [mesh([*outer, *inner], around, Material.SIDEWALK)]))
     assert sorted(area(ring) for ring in found.rings) == pytest.approx([-9, 81])
 
 
@@ -64,7 +64,7 @@ def test_without_a_map_there_are_the_paths_of_vehicles() -> None:
 
 
 def test_the_second_of_two_recordings_has_its_paths_below_the_surfaces_of_the_first() -> None:
-    town = TownMesh.of_tiles("", [mesh([(0, 0), (4, 0), (4, 2)], [(0, 1, 2)], Material.ROAD)])
+    town = TownMesh("", [mesh([(0, 0), (4, 0), (4, 2)], [(0, 1, 2)], Material.ROAD)])
     replay = sampled(CROSSING)
     assert not base_map(town, [replay]).paths
     found = base_map(town, [replay, replay])

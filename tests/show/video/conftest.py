@@ -29,7 +29,7 @@ def striped_plane() -> TownMesh:
             raised = vertices + np.float32((0, 0, z))
             if z == 0.0 or material == Material.ROAD:
                 tiles.append(Mesh(raised, normals, np.full(4, material, np.uint8), triangles))
-    return TownMesh.of_tiles("", tiles)
+    return TownMesh("", tiles)
 
 
 @pytest.fixture(scope="session")

@@ -137,7 +137,7 @@ def _in_thread(function: Callable[..., T], *arguments: Any) -> Future[T]:
 def _load(town: Town) -> TownMesh:
     from carla_recap.town.mesh import TownMesh, town_mesh_of
 
-    return town_mesh_of(town.opendrive, town.name) if town.opendrive else TownMesh.of_tiles(town.name, [])
+    return town_mesh_of(town.opendrive, town.name) if town.opendrive else TownMesh(town.name, [])
 
 
 def _ray_scene(mesh: Future[TownMesh]) -> RayScene:
