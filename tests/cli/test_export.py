@@ -104,15 +104,6 @@ def test_invalid_arguments_of_export(tmp_path, arguments, message):
 # --- clips -----------------------------------------------------------------------------------------------------
 
 
-def test_clip(tmp_path):
-    target = tmp_path / "clip.log"
-    message = said("clip", CROSSING, target, "--start", "20", "--duration", "2")
-    assert wrote(message) == [f"{target}: 21 frames, 2 s"]
-    with open_recording(target) as recording:
-        assert recording.actors.keys() >= {100, 101, 105, 110}
-        assert [hit.id1 for hit in recording.collisions()] == [105]
-
-
 def test_clips(tmp_path):
     words = said("clips", CROSSING, tmp_path / "clips", "--kinds", "collision", "--before", "1", "--after", "1")
     names = sorted(path.name for path in (tmp_path / "clips").iterdir())

@@ -85,12 +85,6 @@ def test_every_type_can_be_added(tmp_path, suffix):
         assert frame["frame_counter"]["count"].tolist() == [7]
 
 
-@both_formats
-def test_a_recording_without_frames_is_valid(tmp_path, suffix):
-    create_recording(tmp_path / f"none{suffix}", map_name="T").close()
-    assert images(tmp_path / f"none{suffix}") == []
-
-
 def test_the_default_date_is_now(tmp_path):
     before = int(time.time())
     create_recording(tmp_path / "now.log", map_name="T").close()
@@ -124,21 +118,13 @@ def test_invalid_records_are_refused_and_the_other_frames_kept(tmp_path, suffix,
         assert [(f.id, f.elapsed, f.duration) for f in recording] == [(1, 0.0, 1.0), (2, 1.0, -1.0)]
 
 
-@pytest.mark.parametrize("elapsed", [1.0, 0.5])
-def test_times_must_increase(tmp_path, elapsed):
+@pytest.mark.parametrize("elapsed", [1.0, 0.5, -1.0, math.nan, math.inf, "0"])
+def test_times_are_seconds_that_increase(tmp_path, elapsed):
     with create_recording(tmp_path / "own.log", map_name="T") as recorder:
         recorder.add_frame(1.0)
-        with pytest.raises(RecordError, match=r"a frame at .* s cannot follow one at 1 s"):
+        told = "cannot follow one at 1 s" if elapsed in (1.0, 0.5) else "elapsed seconds of 0 or more"
+        with pytest.raises(RecordError, match=told):
             recorder.add_frame(elapsed)
-
-
-@pytest.mark.parametrize("elapsed", [-1.0, math.nan, math.inf, "0"])
-def test_time_is_a_number_of_seconds(tmp_path, elapsed):
-    with (
-        create_recording(tmp_path / "own.log", map_name="T") as recorder,
-        pytest.raises(RecordError, match="elapsed seconds of 0 or more"),
-    ):
-        recorder.add_frame(elapsed)
 
 
 @both_formats

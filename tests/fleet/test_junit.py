@@ -41,18 +41,11 @@ def test_a_recording_is_a_class_and_a_rule_is_a_test():
     ]
 
 
-def test_what_had_nothing_to_judge_is_said_in_the_output_of_its_test():
-    verdict = Verdict("calm", "pass", "nothing to judge: it has no tram", applies=False)
-    (case,) = ElementTree.fromstring(junit([CheckedRecording("a.log", (verdict,))])).iter("testcase")
-    assert [(child.tag, child.text) for child in case] == [("system-out", verdict.message)]
-
-
-def test_warnings_of_a_recording_that_passes_are_in_the_output_of_its_tests():
-    verdict = Verdict("calm", "pass", "no hard braking")
-    (case,) = ElementTree.fromstring(junit([CheckedRecording("a.log", (verdict,), warnings=("it is cut short",))])).iter(
-        "testcase"
-    )
-    assert [(child.tag, child.text) for child in case] == [("system-out", "it is cut short")]
+@pytest.mark.parametrize(("applies", "warnings"), [(False, ()), (True, ("it is cut short",))])
+def test_what_had_nothing_to_judge_and_warnings_are_in_the_output_of_a_test_that_passes(applies, warnings):
+    verdict = Verdict("calm", "pass", "nothing to judge: it has no tram", applies=applies)
+    (case,) = ElementTree.fromstring(junit([CheckedRecording("a.log", (verdict,), warnings=warnings)])).iter("testcase")
+    assert [(child.tag, child.text) for child in case] == [("system-out", *(warnings or (verdict.message,)))]
 
 
 @pytest.mark.parametrize("there", [b"", b"<?xml version='1.0'?>", b"\xef\xbb\xbf<?xml", b"\n<testsuites/>"])
