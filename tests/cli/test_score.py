@@ -71,6 +71,9 @@ def test_limits_decide_the_exit_code(tmp_path: Path) -> None:
     assert f"carla-recap: {CRASH}: score 30.00, at least 60 was expected; Completed\n" in done.stderr.decode()
     suite = ElementTree.parse(junit).getroot()[0]
     assert (suite.get("name"), suite.get("tests"), suite.get("failures")) == ("carla-recap score", "4", "1")
+    told = suite.find(".//failure").text.splitlines()
+    assert {"actors: 44", f"to see it: carla-recap view '{CRASH}#t=12.10'"} <= set(told)
+    assert [line[:24] for line in told if " s: " in line] == ["12.10 s: Agent collided ", "15.15 s: Agent collided "]
     assert run("score", CRASH, *BY_ROUTE, "--min-score", 30, "--min-completion", 99, "--max-infractions", 2).returncode == 0
     for limit in (("--max-infractions", 1), ("--max", "collisions_pedestrian=0")):
         assert run("score", CRASH, *BY_ROUTE, *limit).returncode == 1
