@@ -95,11 +95,27 @@ def test_a_senseless_box_does_not_count(extent):
         ({"number_of_wheels": "4"}, (2.4, 1.0, 0.75), "sedan"),
         ({"number_of_wheels": "4"}, (2.4, 1.0, 0.9), "suv"),
         ({}, (5.2, 1.3, 1.6), "bus"),
+        ({}, (4.0, 1.3, 1.6), "lorry"),
+        ({}, (3.2, 1.1, 1.4), "box truck"),
         ({"base_type": "van"}, (2.4, 1.0, 1.0), "van"),
     ],
 )
 def test_unknown_vehicles_are_told_by_wheels_and_size(attributes, half, expected):
     assert model_of("vehicle.unknown.thing", box=BoundingBox(0, 0, half[2], *half), **attributes) == expected
+
+
+@pytest.mark.parametrize(
+    ("attributes", "half_height", "expected"),
+    [
+        ({"age": "adult", "gender": "female"}, 0.93, "woman"),
+        ({"age": "adult", "gender": "male"}, 0.93, "man"),
+        ({"age": "child", "gender": "male"}, 0.93, "child"),
+        ({"gender": "male"}, 0.6, "child"),
+    ],
+)
+def test_walkers_are_told_by_age_gender_and_size(attributes, half_height, expected):
+    box = BoundingBox(0, 0, 0, 0.2, 0.2, half_height)
+    assert model_of("walker.pedestrian.0099", ActorKind.WALKER, box, **attributes).split()[0] == expected
 
 
 @pytest.mark.parametrize("color", ["", "red", "1,2", "1,2,300", "-1,2,3", "1,2,3,4", "nan,nan,nan"])
