@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 import urllib.request
 
 import pytest
+from click.testing import CliRunner
 
-from carla_recap import open_recording
+from carla_recap import Player, open_recording
+from carla_recap.cli import progress
+from carla_recap.cli.export import view
 from carla_recap.cli.opening import printed
 from carla_recap.model.frame import LAST_FRAME_DURATION
 from carla_recap.output.text import local_date
@@ -28,6 +32,14 @@ def said(*arguments: object) -> str:
     done = run(*arguments)
     assert (done.returncode, done.stdout) == (0, b""), done.stderr
     return done.stderr.decode()
+
+
+def test_scenes_are_counted_from_the_first_one_that_is_played(monkeypatch):
+    monkeypatch.setattr(progress, "_bar", lambda scenes, _, total, at: [at(scene) / total for scene in scenes])
+    with open_recording(CROSSING) as recording:
+        player = Player(recording, start=10, duration=2)
+        shares = list(progress.watch_scenes("exporting")(player.scenes(), player))
+    assert (shares[0], shares[-1]) == pytest.approx((0, 1))
 
 
 # --- export ----------------------------------------------------------------------------------------------------
@@ -157,6 +169,14 @@ def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):
     assert "'12' is no size" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "1", "--size", "12")
 
 
+def test_the_port_of_the_web_viewer_is_the_one_that_is_asked_for(monkeypatch):
+    given = []
+    monkeypatch.setattr("carla_recap.show.rerun.viewer.view", lambda _, **how: given.append((how["web"], how["web_port"])))
+    for options in ((), ("--web",), ("--web-port", "4321")):
+        assert CliRunner().invoke(view, [str(CROSSING), *options]).exit_code == 0
+    assert given == [(False, 0), (True, 0), (True, 4321)]
+
+
 def test_report(tmp_path):
     page = tmp_path / "page"
     _, line = said("report", CROSSING, page).splitlines()
@@ -188,11 +208,13 @@ def test_a_report_of_wrong_arguments_is_an_error(tmp_path):
 
 
 def test_the_page_is_served_until_it_is_interrupted(tmp_path):
-    command = [COMMAND, "report", CROSSING, tmp_path / "page", "--serve"]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [COMMAND, "report", CROSSING, tmp_path / "page", "--serve", "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT) as process:
         try:
             address = process.stdout.readline().decode().strip()
-            assert address.startswith("http://127.0.0.1:")
+            assert address.startswith(f"http://127.0.0.1:{port}")
             with urllib.request.urlopen(address, timeout=PATIENCE) as answer:
                 assert b"<title>" in answer.read()
         finally:
