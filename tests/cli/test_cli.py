@@ -99,7 +99,8 @@ def test_a_pipe_gets_text(arguments, query, options):
     assert answer(command, CROSSING, *rest) == text_of(query, CROSSING, **options)
 
 
-def test_compat_accepts_a_negative_time():
+def test_a_time_of_0_is_accepted_and_with_compat_a_negative_one():
+    assert answer("blocked", CROSSING, "--min-time", "0")
     rows = answer("blocked", CROSSING, "--compat", "--min-time", "-1").splitlines()
     assert len(rows) > len(answer("blocked", CROSSING, "--compat", "--min-time", "0.5").splitlines())
     assert "'--min-time': '-1'" in error("blocked", CROSSING, "--min-time", "-1")
