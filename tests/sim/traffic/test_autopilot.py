@@ -25,6 +25,7 @@ from tests.sim.lanes import LIMIT, lane, ring, small_town
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from carla_recap.sim.actors.lights import TrafficLight
     from carla_recap.sim.town.lanes import Lane
 
 MODEL3 = "vehicle.tesla.model3"
@@ -77,6 +78,14 @@ def offsets(world: World) -> list[float]:
 def light(s: float, on: int = 0, governs: tuple[int, ...] = (), kind: SignalKind = SignalKind.LIGHT) -> Signal:
     junction = 1 if governs else None
     return Signal(0, "0", kind, Transform(Location(s, 4.0, 0.0)), None, junction, "0", ((on, s),), governs)
+
+
+def shown(world: World, state: int) -> TrafficLight:
+    """Let the only light of a world stay in a state, and return it."""
+    (signal,) = world.traffic_lights
+    signal.freeze()
+    signal.set_state(state)
+    return signal
 
 
 def crossing() -> tuple[list[Lane], Junction]:
@@ -146,9 +155,7 @@ def test_a_light_before_a_junction_stands_in_a_lane_beside_that_leads_into_none(
     lanes, junction = crossing()
     both = replace(light(95.0, governs=(1,)), stops=((0, 95.0), (6, 60.0)))
     world = world_of(*lanes, lane(6, (300, 0), start=(0, 200)), signals=(both,), junctions=(junction,))
-    (signal,) = world.traffic_lights
-    signal.freeze()
-    signal.set_state(RED)
+    shown(world, RED)
     vehicles = car(world, 10.0), car(world, 10.0, 200.0)
     run(world, 25.0)
     assert [front(vehicle) for vehicle in vehicles] == [pytest.approx(94.0, abs=0.6), pytest.approx(59.0, abs=0.6)]
@@ -171,9 +178,7 @@ def test_of_two_lights_on_a_lane_the_nearest_and_the_strictest_one_acts(stops: t
 
 def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
     world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
-    vehicle, (signal,) = car(world, 10.0), world.traffic_lights
-    signal.freeze()
-    signal.set_state(RED)
+    vehicle, signal = car(world, 10.0), shown(world, RED)
     for _ in ticks(world, 20.0):
         assert front(vehicle) < 120.0
     stands = front(vehicle)
@@ -191,9 +196,7 @@ def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
 @pytest.mark.parametrize(("distance", "stops"), [(8.0, False), (60.0, True)])
 def test_stops_at_yellow_only_if_the_distance_suffices(distance: float, stops: bool) -> None:
     world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
-    vehicle, (signal,) = car(world, 10.0), world.traffic_lights
-    signal.freeze()
-    signal.set_state(GREEN)
+    vehicle, signal = car(world, 10.0), shown(world, GREEN)
     for _ in ticks(world, 30.0):
         if front(vehicle) > 120.0 - distance:
             signal.set_state(YELLOW)
@@ -204,9 +207,7 @@ def test_stops_at_yellow_only_if_the_distance_suffices(distance: float, stops: b
 def test_waits_if_the_light_changes_while_it_stands_right_at_the_line(state: int) -> None:
     """It stands behind another car, less than 0.8 m before the line, and was to go on."""
     world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
-    (signal,) = world.traffic_lights
-    signal.freeze()
-    signal.set_state(GREEN)
+    signal = shown(world, GREEN)
     ahead = car(world, 124.2, drives=False)
     vehicle = car(world, 100.0)
     run(world, 10.0)
@@ -233,9 +234,7 @@ def test_stops_at_a_red_light_on_a_short_road_between_two_junctions(length: floa
     ]
     junctions = Junction(1, (1,), (), ()), Junction(2, (3,), (), ())
     world = world_of(*lanes, signals=(light(length, 2, (3,)),), junctions=junctions)
-    vehicle, (signal,) = car(world, 60.0, name=name), world.traffic_lights
-    signal.freeze()
-    signal.set_state(RED)
+    vehicle, signal = car(world, 60.0, name=name), shown(world, RED)
     for _ in ticks(world, 25.0):
         assert front(vehicle) < entry
     assert front(vehicle) > entry - 2.0
