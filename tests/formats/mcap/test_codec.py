@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import warnings
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -92,6 +93,24 @@ def test_a_schema_has_the_fields_of_its_layout(type):
         assert items.is_repeated
         check_layout(type.layout, items.message_type, type.wide)
         assert len(items.message_type.fields) == len(type.layout.fields)
+
+
+def layouts_with_a_class(layout):
+    if layout.make:
+        yield layout
+    for kind in layout.fields.values():
+        if isinstance(kind, Many):
+            for inner in kind.layouts:
+                yield from layouts_with_a_class(inner)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    {layout.make: layout for type in UE4 for layout in layouts_with_a_class(type.layout)}.values(),
+    ids=lambda layout: layout.make.__name__,
+)
+def test_a_record_class_has_the_fields_of_its_layout(layout):
+    assert [field.name for field in fields(layout.make)] == list(layout.fields)
 
 
 # --- what is written -------------------------------------------------------------------------------------
