@@ -51,6 +51,17 @@ def test_a_jump_a_gap_and_nan_end_a_track(tmp_path: Path) -> None:
     assert [(track.first, track.last) for track in replay.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
 
 
+def test_a_reused_id_is_another_actor(tmp_path: Path) -> None:
+    there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
+    frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
+    replay = sampled(record(tmp_path / "a.log", frames))
+    assert [(actor.id, actor.until, actor.actor.type_id) for actor in replay.actors] == [
+        (7, 0.1, "vehicle.audi.tt"),
+        (7, None, "walker.a"),
+    ]
+    assert [(track.actor, track.first, track.last) for track in replay.tracks] == [(0, 0, 1), (1, 3, 4)]
+
+
 def test_the_rate_limits_the_samples() -> None:
     replay = sampled(CROSSING, rate=2.0)
     assert len(replay.times) == pytest.approx(53 * 2, abs=2)
