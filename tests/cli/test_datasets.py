@@ -38,7 +38,7 @@ def test_recordings_become_one_dataset_but_for_those_that_fail(runs: Path) -> No
     assert done.returncode == 2
     lines = done.stderr.decode().splitlines()
     assert [line for line in lines if "without.mcap" in line and "hero" in line] != []
-    assert any(line.startswith(f"wrote {out}: 4 frames") and "2 recordings" in line for line in lines)
+    assert any(line.startswith(f"wrote {out}: 4 frames, 0.1 s, 2 recordings, ") for line in lines)
     assert lines[-1] == "recordings: 2 done, 0 skipped, 1 failed"
     rows = list(csv.DictReader((out / "recordings.csv").read_text().splitlines()))
     assert [(row["frame"], row["recording"]) for row in rows] == [

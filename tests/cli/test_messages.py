@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import os
 import pty
 import re
@@ -17,7 +18,7 @@ import click
 import pytest
 
 from carla_recap import cli, create_recording
-from carla_recap.cli.output import BAD_INPUT
+from carla_recap.cli.output import BAD_INPUT, log_to_stderr
 from carla_recap.output.terminal import TableColumn, print_table
 from tests.cli.command import CROSSING, ENVIRONMENT, run_here, written, wrote
 from tests.waiting import PATIENCE
@@ -84,6 +85,13 @@ def test_verbose_logs_what_is_done(invoke):
         assert "carla-recap: debug: " not in done.err
         assert wrote(done.err) == ["out.mcap: 531 frames, 53 s"]
     assert "carla-recap: debug: out.mcap is complete\n" in invoke("convert", "-vv", CROSSING, "out.mcap", "--force").err
+
+
+def test_a_warning_is_printed_once_however_often_the_log_is_asked_for(capsys):
+    for _ in range(2):
+        log_to_stderr()
+    logging.getLogger("carla_recap").warning("one of its kind")
+    assert capsys.readouterr().err == "carla-recap: warning: one of its kind\n"
 
 
 def test_verbose_names_the_map_that_is_looked_for(invoke):
