@@ -16,7 +16,7 @@ import numpy as np
 
 from carla_recap.files.datasets import OPTICAL, SPLITS, DatasetWriter, intrinsics, mount_of, move, world_points
 from carla_recap.files.labels import CLASSES
-from carla_recap.replay.pose import LOCATION, rotations
+from carla_recap.replay.pose import LOCATION, quaternions_of, rotations
 from carla_recap.sensors.encoding import jpeg, png
 
 if TYPE_CHECKING:
@@ -298,18 +298,8 @@ class NuScenesWriter(DatasetWriter):
 
 def _quaternion(matrix: Floats) -> list[float]:
     """Return a rotation as a quaternion w, x, y, z."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    products = np.array(  # four times that of each two of its components
-        [
-            (1 + a + e + i, h - f, c - g, d - b),
-            (h - f, 1 + a - e - i, b + d, c + g),
-            (c - g, b + d, 1 - a + e - i, f + h),
-            (d - b, c + g, f + h, 1 - a - e + i),
-        ]
-    )
-    row = products[products.diagonal().argmax()]
-    found: list[float] = (row / np.linalg.norm(row)).tolist()
-    return found
+    x, y, z, w = quaternions_of(matrix).tolist()
+    return [w, x, y, z]
 
 
 def _lidar_file(sample: Sample) -> bytes:

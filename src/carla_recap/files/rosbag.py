@@ -37,7 +37,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
 from carla_recap.model.presence import FAR
 from carla_recap.replay import Played, Player, quaternions
-from carla_recap.replay.pose import LOCATION, rotations
+from carla_recap.replay.pose import LOCATION, quaternions_of, rotations
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads import load_map
 from carla_recap.scene import style
@@ -278,7 +278,7 @@ class _Export:
 
     def _write_markers(self, description: SceneDescription, time: int) -> None:
         found = described_instances(description, marks=False)
-        turns, sizes = _quaternions_of(found.rotations), 2.0 * found.half_extents.astype(np.float64)
+        turns, sizes = quaternions_of(found.rotations), 2.0 * found.half_extents.astype(np.float64)
         markers: list[Any] = []
         lights: list[Any] = []
         for row, id in enumerate(found.ids.tolist()):
@@ -426,23 +426,6 @@ def _marker(
         mesh_file=_make("visualization_msgs/msg/MeshFile", filename="", data=nothing),
         mesh_use_embedded_materials=False,
     )
-
-
-def _quaternions_of(turned: NDArray[np.float32]) -> Floats:
-    """Return rotation matrices, (n, 3, 3), as quaternions x, y, z, w of length 1, (n, 4)."""
-    m = turned.astype(np.float64)
-    xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
-    squares = np.stack((1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz), axis=1) / 4
-    products = np.empty((len(m), 4, 4))  # of each two of x, y, z, w
-    for axis in range(4):
-        products[:, axis, axis] = squares[:, axis]
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        products[:, a, b] = products[:, b, a] = (m[:, a, b] + m[:, b, a]) / 4
-    for axis, (a, b) in enumerate(((2, 1), (0, 2), (1, 0))):
-        products[:, axis, 3] = products[:, 3, axis] = (m[:, a, b] - m[:, b, a]) / 4
-    found: Floats = products[np.arange(len(m)), squares.argmax(axis=1)]
-    found /= np.sqrt((found**2).sum(axis=1))[:, None]
-    return found
 
 
 def _name(id: str) -> str:

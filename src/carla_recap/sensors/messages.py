@@ -10,13 +10,12 @@ import json
 import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.formats.base import Topic
+from carla_recap.formats.mcap.container import message_topic
 from carla_recap.formats.mcap.schema import SECOND, LogClock
 from carla_recap.replay.pose import LOCATION, quaternions
 from carla_recap.sensors.cameras import camera_of
@@ -33,7 +32,6 @@ try:
     from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
     from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
     from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-    from mcap_protobuf.schema import build_file_descriptor_set
 except ImportError:
     raise MissingExtra("a recording of sensors", "foxglove") from None
 
@@ -44,6 +42,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import NDArray
 
+    from carla_recap.formats.base import Topic
     from carla_recap.model.frame import Header
     from carla_recap.rendering.camera import Camera
     from carla_recap.sensors.rig import SensorRig, SensorSpec
@@ -98,7 +97,7 @@ class SensorMessages:
         self._clock = LogClock(header)
         self._makers = {spec.id: _Maker(spec, video=video, quality=quality) for spec in rig}
         self.topics = [topic for maker in self._makers.values() for topic in maker.topics]
-        self.topics.append(_topic(TRANSFORMS, FrameTransforms))
+        self.topics.append(message_topic(TRANSFORMS, FrameTransforms))
 
     def of(self, samples: Iterable[Sample]) -> Iterator[SensorMessage]:
         """Yield the messages of samples of one moment: of each sensor, and of the poses of all."""
@@ -225,7 +224,7 @@ class _Maker:
 
     def _add(self, name: str, schema: type[Message]) -> str:
         """Add a topic, and return its name."""
-        topic = _topic(f"/sensors/{self._id}/{name}", schema, self._metadata)
+        topic = message_topic(f"/sensors/{self._id}/{name}", schema, self._metadata)
         self.topics.append(topic)
         return topic.name
 
@@ -308,15 +307,6 @@ class _Maker:
 
     def _speed(self, speed: NDArray[Any], stamp: Stamp, time: float) -> Message:
         return SpeedReading(elapsed=time, speed=float(speed), speed_kmh=float(speed) * _KMH)
-
-
-def _topic(name: str, schema: type[Message], metadata: dict[str, str] | None = None) -> Topic:
-    return Topic(name, schema.DESCRIPTOR.full_name, partial(_descriptors, schema), metadata or {})
-
-
-def _descriptors(schema: type[Message]) -> bytes:
-    data: bytes = build_file_descriptor_set(schema).SerializeToString()
-    return data
 
 
 def _calibration(id: str, camera: Camera) -> CameraCalibration:

@@ -24,25 +24,6 @@ def message_class(name: str) -> Any:
     return GetMessageClass(_pool().FindMessageTypeByName(name))
 
 
-def schema(name: str) -> bytes:
-    """Return the descriptors of a message and of all that it needs, as a `FileDescriptorSet`."""
-    files = {file.name: file for file in _descriptors().file}
-    needed: dict[str, None] = {}
-
-    def add(file: str) -> None:
-        if file not in needed:
-            for dependency in files[file].dependency:
-                add(dependency)
-            needed[file] = None
-
-    add(_pool().FindMessageTypeByName(name).file.name)
-    found = FileDescriptorSet()
-    for file in needed:
-        found.file.add().CopyFrom(files[file])
-        found.file[-1].ClearField("source_code_info")
-    return found.SerializeToString()
-
-
 @cache
 def _pool() -> DescriptorPool:
     """Return a pool of our own: another program in this process may have OSI's messages in the common one."""

@@ -12,6 +12,7 @@ from array import array
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from itertools import groupby
 from threading import local
@@ -23,6 +24,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
+from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.schema import CHUNK, FOOTER, MAGIC, MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, U64
 from carla_recap.util.files import AtomicFile
 
@@ -30,13 +32,14 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from google.protobuf.message import Message
     from numpy.typing import NDArray
 
-    from carla_recap.formats.base import Topic
     from carla_recap.model.layout import Buffer
 
 _COMPRESSION: Final = "zstd"
 _WORKERS: Final = 2
+_CHUNK_SIZE: Final = 1 << 20  # bytes from which on a chunk of a `MessageFile` is ended
 _QUEUE: Final = 4  # chunks that are being compressed, or wait for it
 _HELD_LIMIT: Final = 64 << 20
 """The most bytes of chunks that are held back for the end of the file."""
@@ -268,6 +271,62 @@ class ChunkedFile(AtomicFile):
         self._put(data)
         self._crc = zlib.crc32(data, self._crc)
         self._position += len(data)
+
+
+def message_topic(name: str, message: type[Message], metadata: dict[str, str] | None = None) -> Topic:
+    """Return the topic of a message of protobuf; its schema is the descriptors of all files that the message needs."""
+    return Topic(name, message.DESCRIPTOR.full_name, partial(schema_of, message), metadata or {})
+
+
+def schema_of(message: type[Message]) -> bytes:
+    """Return the schema of a message of protobuf."""
+    from mcap_protobuf.schema import build_file_descriptor_set
+
+    data: bytes = build_file_descriptor_set(message).SerializeToString()
+    return data
+
+
+class MessageFile(ChunkedFile):
+    """Writes messages of topics, which are all declared at the start, after metadata by their names; see `AtomicFile`."""
+
+    def __init__(
+        self,
+        path: Path | str,
+        topics: Sequence[Topic],
+        about: Mapping[str, dict[str, str]],
+        *,
+        level: int,
+        force: bool = True,
+    ) -> None:
+        super().__init__(path, topics, level=level, force=force)
+        self._about = about
+        self._channel_of = {topic.name: channel for channel, topic in enumerate(self._topics, 1)}
+        self._chunks: dict[str, ChunkBuilder] = {}
+        self._begin(self._write_about)
+
+    def write(self, topic: str, time: int, data: bytes, *, group: str = "") -> None:
+        """Add a message, at its time in ns; those of a group are in chunks of their own, in the order of time."""
+        chunk = self._chunks.setdefault(group, ChunkBuilder())
+        chunk.add(self._channel_of[topic], 0, (time, time), b"", data)
+        if chunk.size >= _CHUNK_SIZE:
+            self.end_chunk(group)
+
+    def end_chunk(self, group: str = "") -> None:
+        """End the current chunk of a group, after which times can begin again."""
+        if group in self._chunks:
+            self._add_chunk(self._chunks.pop(group))
+
+    def _write_about(self) -> None:
+        self._write_start()
+        for name, values in self._about.items():
+            self._write_metadata(name, values)
+        for channel in self._channel_of.values():
+            self._declare(channel)
+
+    def _finish(self) -> None:
+        for group in list(self._chunks):
+            self.end_chunk(group)
+        super()._finish()
 
 
 def _compress(data: bytes, level: int) -> tuple[bytes, int]:

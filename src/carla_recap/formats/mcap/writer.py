@@ -17,7 +17,7 @@ from carla_recap.errors import FormatError, RecapError, RecordError
 from carla_recap.formats.base import Topic, Writer
 from carla_recap.formats.mcap import codec, schema
 from carla_recap.formats.mcap.codec import encode, encode_rows, records_codec
-from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile
+from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile, schema_of
 from carla_recap.formats.mcap.digest import Digest
 from carla_recap.formats.mcap.index import CHANNELS_LIMIT
 from carla_recap.model.batch import Batch, ConstantColumn
@@ -343,10 +343,7 @@ class McapWriter(ChunkedFile, Writer):
 
 @cache
 def _schema(module: str, message: str) -> bytes:
-    """Return a message's schema: the descriptors of all files that it needs."""
-    from mcap_protobuf.schema import build_file_descriptor_set
-
-    return build_file_descriptor_set(codec.message_class(module, message)).SerializeToString()
+    return schema_of(codec.message_class(module, message))
 
 
 # --- many frames at once -----------------------------------------------------------------------------------------------

@@ -20,10 +20,11 @@ right-handed: x forward, y left, z up.
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.editing.convert import check_destination
-from carla_recap.formats.mcap.schema import LogClock
+from carla_recap.formats.mcap.container import MessageFile
+from carla_recap.formats.mcap.schema import EXPORT_METADATA, LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played, Player
 from carla_recap.show.foxglove.layouts import connection_hints, has_panels, layout_files, layout_hints, write_layouts
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
     from carla_recap.roads import RoadMap
 
 __all__ = ["connection_hints", "export_foxglove", "layout_files", "layout_hints"]
+
+_COMPRESSION_LEVEL: Final = 1  # the files are as small as those of level 3
+_FURTHER: Final = "further"  # the group of messages such as those of sensors
 
 
 def export_foxglove(
@@ -79,8 +83,7 @@ def export_foxglove(
         MissingExtra: The extra `foxglove` is not installed.
         RecapError: The recording has no such time or no such actor, or the file cannot be written.
     """
-    from carla_recap.show.foxglove.mcap import FoxgloveFile
-    from carla_recap.show.foxglove.topics import RecordingMessages, passed_topics
+    from carla_recap.show.foxglove.topics import TOPICS, RecordingMessages, passed_topics
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)
@@ -91,13 +94,16 @@ def export_foxglove(
     start, stop = player.start, player.stop + 2 * SAME_TIME
     earlier = [each for each in reader.latest_messages(names, start) if each.elapsed < start - SAME_TIME] if names else []
     passed = chain((each._replace(elapsed=start) for each in earlier), reader.further_messages(names, start, stop))
-    with FoxgloveFile(destination, _description(reader, player), further, force=force) as file:
+    about = {EXPORT_METADATA: _description(reader, player)}
+    with MessageFile(destination, [*TOPICS, *further], about, level=_COMPRESSION_LEVEL, force=force) as file:
         for part in messages.scenes(progress):
-            file.write(part)
+            for time, topic, data, _ in part.in_order():
+                file.write(topic, time, data)
         for topic, elapsed, data in passed:
-            file.write_further(topic, clock.at(elapsed) or 0, data)
-        file.end_chunk()  # the times of what follows begin again
-        file.write(messages.incidents())
+            file.write(topic, clock.at(elapsed) or 0, data, group=_FURTHER)
+        file.end_chunk()
+        for time, topic, data, _ in messages.incidents().in_order():
+            file.write(topic, time, data)
     if verdicts or has_panels(further):
         write_layouts(destination, further, [verdict.rule for verdict in verdicts])
     return messages.played

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapWarning
-from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.replay import quaternions
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.show.foxglove import bodies
@@ -107,7 +106,7 @@ class _TransformsTemplate:
     def __init__(self, transforms: list[bytes]) -> None:
         self.transforms = transforms
         self._template = MessageTemplate(MessagePart(b"".join(transforms)))
-        self._ends = (MESSAGE.size + np.cumsum([len(data) for data in transforms], dtype=np.intp)).tolist()
+        self._ends = np.cumsum([len(data) for data in transforms], dtype=np.intp).tolist()
 
     def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
         """Return the messages of some scenes.

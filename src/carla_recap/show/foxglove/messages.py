@@ -16,7 +16,7 @@ from google.protobuf.descriptor import FieldDescriptor
 
 from carla_recap.errors import MissingExtra
 from carla_recap.formats.mcap.codec import FIXED32, FIXED64, LEN, VARINT, tag, varint
-from carla_recap.formats.mcap.schema import MESSAGE, SECOND
+from carla_recap.formats.mcap.schema import SECOND
 
 try:
     from foxglove_schemas_protobuf.Color_pb2 import Color as Color
@@ -100,8 +100,7 @@ class TopicMessages(NamedTuple):
 
     topic: str
     rows: Indices  # the position of the moment of each message in a batch of moments, ascending
-    # the messages as bytes, (messages, size), each behind `MESSAGE.size` bytes for the header of its record
-    data: NDArray[np.uint8]
+    data: NDArray[np.uint8]  # the messages as bytes, (messages, size)
     change: bytes | None = None  # what the only one of them adds to the message before it; None: all of it
 
 
@@ -117,14 +116,14 @@ class ShownScenes(NamedTuple):
 def single(topic: str, row: int, message: Message | bytes) -> TopicMessages:
     """Return the only message of a topic."""
     data = message if isinstance(message, bytes) else message.SerializeToString()
-    return TopicMessages(topic, np.array([row]), np.frombuffer(bytearray(MESSAGE.size) + data, np.uint8)[None])
+    return TopicMessages(topic, np.array([row]), np.frombuffer(data, np.uint8)[None])
 
 
 class MessageTemplate:
     """A message that differs from moment to moment only in the numbers of its parts."""
 
     def __init__(self, *parts: MessagePart) -> None:
-        message = sum(parts, MessagePart(bytes(MESSAGE.size)))
+        message = sum(parts, MessagePart())
         self._data = np.frombuffer(message.data, np.uint8)
         self._dtype = message.dtype
 

@@ -18,7 +18,7 @@ import numpy as np
 from carla_recap.editing.clip import clip, clip_begin
 from carla_recap.editing.convert import TopicCopy, check_destination
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.formats.base import Topic
+from carla_recap.formats.mcap.container import message_topic
 from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.lives import HERO
@@ -33,7 +33,7 @@ from carla_recap.sensors.ray_process import processes_for
 from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.show.foxglove.ground import MAP
 from carla_recap.show.foxglove.layouts import write_layouts
-from carla_recap.show.foxglove.topics import LOG, STATES, TOPICS, RecordingMessages, schema_of
+from carla_recap.show.foxglove.topics import LOG, STATES, TOPICS, RecordingMessages
 from carla_recap.util.child import started_ahead
 from carla_recap.util.text import number
 from carla_recap.v1.sensors_pb2 import ActorEntry, ActorTable
@@ -179,7 +179,7 @@ class _SensedWriter:
         self._absent_from = 0.0
         for topic in TOPICS:
             writer.add_topic(topic, group="" if topic.name in (MAP, LOG, STATES) else _SCENE)
-        writer.add_topic(Topic(ACTORS, ActorTable.DESCRIPTOR.full_name, partial(schema_of, ActorTable)))
+        writer.add_topic(message_topic(ACTORS, ActorTable))
 
     def write(self, scenes: RecordingMessages, moments: Iterable[SensedFrame]) -> None:
         """Write everything."""

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.formats.base import LATCHED, Topic
-from carla_recap.formats.mcap.schema import MESSAGE, LogClock
+from carla_recap.formats.base import LATCHED
+from carla_recap.formats.mcap.container import message_topic
+from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.replay import Played
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import stop_points
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     from google.protobuf.message import Message
 
-    from carla_recap.formats.base import Reader
+    from carla_recap.formats.base import Reader, Topic
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.verdicts import Verdict
@@ -71,15 +70,8 @@ _MESSAGES: Final[dict[str, type[Message]]] = {
 }
 
 
-def schema_of(message: type[Message]) -> bytes:
-    """Return the schema of a message: the descriptors of all files that it needs."""
-    data: bytes = build_file_descriptor_set(message).SerializeToString()
-    return data
-
-
 TOPICS: Final = [
-    Topic(name, type.DESCRIPTOR.full_name, partial(schema_of, type), {} if name in (LOG, followed.HERO) else {LATCHED: "1"})
-    for name, type in _MESSAGES.items()
+    message_topic(name, type, {} if name in (LOG, followed.HERO) else {LATCHED: "1"}) for name, type in _MESSAGES.items()
 ]
 """All topics."""
 
@@ -126,7 +118,7 @@ class TimedMessages(NamedTuple):
         rows = np.concatenate([some.rows for some in self.messages]) if self.messages else np.zeros(0, np.intp)
         for index in np.argsort(rows, kind="stable").tolist():
             topic, data, change = found[index]
-            yield Sent(int(self.times[rows[index]]), topic, data[MESSAGE.size :].tobytes(), change)
+            yield Sent(int(self.times[rows[index]]), topic, data.tobytes(), change)
 
 
 class SceneMessages:
