@@ -361,6 +361,13 @@ def test_an_attached_actor_leaves_its_parent_as_soon_as_its_own_poses_are_record
     assert found == [(["tf#/world/actors/1"], 0.5), (["tf#/world/actors"], 9), (["tf#/world/actors"], 9)]
 
 
+def test_the_camera_is_as_far_away_as_the_size_asks_that_is_recorded_after_the_spawn(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 900)]} for _ in range(3)]
+    frames[0]["spawned"], frames[1]["bounding_boxes"] = [spawn(1)], [(1, 0, 0, 100, 500, 100, 100)]
+    export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
+    assert Arrangement(tmp_path / "x.rrd").view("Chase").position[0] == pytest.approx(-10 - (5 - 2.4) * 1.6)
+
+
 def test_the_plots_end_where_the_followed_actor_vanishes(tmp_path: Path) -> None:
     frames = [{"transforms": [pose(1, 100 * n)]} if n not in range(4, 7) else {} for n in range(12)]
     frames[0]["spawned"], frames[4]["destroyed"], frames[7]["spawned"] = [spawn(1)], [1], [spawn(1)]

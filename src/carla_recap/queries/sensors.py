@@ -19,6 +19,9 @@ ROOT: Final = "/sensors/"
 """What the names of all sensors' topics begin with; the sensor's id follows."""
 SPEC: Final = "sensor"
 """The metadata of a sensor's topic: its specification, as JSON."""
+PICTURES: Final = ("image", "video")
+IMAGES: Final = (*PICTURES, "depth", "semantic", "instance", "normals", "flow")
+"""The kinds of data that are images; `PICTURES` are in the colours that are seen."""
 _DEEPEST: Final = 16  # levels of a specification; those of rigs have two
 
 
@@ -82,7 +85,7 @@ def kind_of(topic: str) -> str:
 
 def has_images(sensor: RecordedSensor) -> bool:
     """Return whether a recording has the RGB images of a sensor, as JPEGs or as a video."""
-    return any(kind_of(topic) in ("image", "video") for topic in sensor.topics)
+    return any(kind_of(topic) in PICTURES for topic in sensor.topics)
 
 
 def _sensor(id: str, spec: dict[str, Any], topics: list[FurtherTopic]) -> RecordedSensor:

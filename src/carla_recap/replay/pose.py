@@ -106,20 +106,20 @@ def rotations(poses: Floats) -> Floats:
 def quaternions_of(matrices: NDArray[np.floating]) -> Floats:
     """Return rotation matrices, (…, 3, 3), as quaternions x, y, z, w of length 1, (…, 4)."""
     (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(np.asarray(matrices, np.float64), (-2, -1), (0, 1))
-    products = np.stack(  # four times that of each two of w, x, y, z
+    products = np.stack(  # four times that of each two of x, y, z, w
         [
             np.stack(row, axis=-1)
             for row in (
-                (1 + a + e + i, h - f, c - g, d - b),
-                (h - f, 1 + a - e - i, b + d, c + g),
-                (c - g, b + d, 1 - a + e - i, f + h),
-                (d - b, c + g, f + h, 1 - a - e + i),
+                (1 + a - e - i, b + d, c + g, h - f),
+                (b + d, 1 - a + e - i, f + h, c - g),
+                (c + g, f + h, 1 - a - e + i, d - b),
+                (h - f, c - g, d - b, 1 + a + e + i),
             )
         ],
         axis=-2,
     )
     largest = np.diagonal(products, axis1=-2, axis2=-1).argmax(axis=-1)
-    found = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, [1, 2, 3, 0]]
+    found = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
     return np.asarray(found / np.sqrt((found**2).sum(axis=-1, keepdims=True)))
 
 

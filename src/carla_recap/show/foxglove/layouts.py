@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.queries.sensors import ROOT, kind_of
+from carla_recap.queries.sensors import IMAGES, PICTURES, ROOT, kind_of
 from carla_recap.util.files import WholeFile
 from carla_recap.util.resources import viewer_folder
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 _FOXGLOVE, _LICHTBLICK = "Foxglove", "Lichtblick and Foxglove 1.x"
 _SUFFIXES: Final = {_FOXGLOVE: ".foxglove.json", _LICHTBLICK: ".lichtblick.json"}
-_IMAGES: Final = ("image", "video", "depth", "semantic", "instance", "normals", "flow")
 _IN_A_ROW: Final = 4
 _MOST: Final = 12  # panels of images
 _STATES: Final = "/states"
@@ -62,7 +61,7 @@ def sensor_layout_files(destination: Path | str) -> dict[str, Path]:
 
 def has_panels(topics: Iterable[Topic]) -> bool:
     """Return whether layouts show some of the topics of sensors: their images or points."""
-    return any(topic.name.startswith(ROOT) and kind_of(topic.name) in (*_IMAGES, *_COLORS) for topic in topics)
+    return any(topic.name.startswith(ROOT) and kind_of(topic.name) in (*IMAGES, *_COLORS) for topic in topics)
 
 
 def write_layouts(destination: Path | str, topics: Iterable[Topic], rules: Iterable[str] = ()) -> dict[str, Path]:
@@ -75,7 +74,7 @@ def write_layouts(destination: Path | str, topics: Iterable[Topic], rules: Itera
         RecapError: They cannot be written.
     """
     names = [topic.name for topic in topics if topic.name.startswith(ROOT)]
-    images = [name for name in names if kind_of(name) in _IMAGES][:_MOST]
+    images = [name for name in names if kind_of(name) in IMAGES][:_MOST]
     clouds = [name for name in names if kind_of(name) in _COLORS]
     makers: dict[str, Callable[[Layout, list[str], list[str]], Layout]] = {_FOXGLOVE: _foxglove, _LICHTBLICK: _lichtblick}
     files = sensor_layout_files(destination)
@@ -169,7 +168,7 @@ def _rows(names: list[str]) -> list[list[str]]:
 def _title(name: str) -> str:
     """Return the title of the panel of an image: the sensor's id, and what it shows unless that is plain to see."""
     _, _, id, kind = name.split("/")
-    return id if kind in ("image", "video") or id == kind else f"{id} {kind}"
+    return id if kind in PICTURES or id == kind else f"{id} {kind}"
 
 
 def _image(name: str) -> Layout:

@@ -131,7 +131,7 @@ class MessageTemplate:
         """Return a message for each of some moments, and the numbers in them, which are to be filled in."""
         data = np.empty((len(rows), len(self._data)), np.uint8)
         data[:] = self._data
-        return TopicMessages(topic, rows, data), data.view(self._dtype)[:, 0]
+        return TopicMessages(topic, rows, data), np.ndarray(len(rows), self._dtype, data)
 
 
 def numbers(message: type[Message], names: Iterable[str], prefix: str = "") -> MessagePart:

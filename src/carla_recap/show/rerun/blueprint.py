@@ -9,10 +9,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import CM
-from carla_recap.queries.sensors import kind_of, sensors
-from carla_recap.replay import Player, camera
+from carla_recap.queries.recorded_actors import actors
+from carla_recap.queries.sensors import IMAGES, PICTURES, kind_of, sensors
+from carla_recap.replay import camera
 from carla_recap.replay.recorded_map import first_locations
 from carla_recap.scene import style
 from carla_recap.scene.appearance import look_of_present
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.queries.sensors import RecordedSensor
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.replay import Player
     from carla_recap.roads import RoadMap
 
 View = Literal["chase", "top"]
@@ -35,8 +37,6 @@ View = Literal["chase", "top"]
 MOST_IMAGES: Final = 16
 """The number of cameras whose images have a view."""
 
-_COLORED: Final = ("image", "video")
-_IMAGES: Final = (*_COLORED, "depth", "semantic", "instance", "normals", "flow")
 _IN_A_COLUMN: Final = 3  # images; more are in two columns
 _TRAIL: Final = 4.0  # s; the time for which the trail is shown
 _TRAIL_FRAMES: Final = 80  # the same in frames
@@ -50,37 +50,36 @@ def blueprint(
     *,
     view: View = "chase",
     followed: int | None = None,
-    sizes: Mapping[int, Triple | None] | None = None,
+    lives: Iterable[ActorLife] | None = None,
     verdicts: bool = False,
 ) -> rrb.Blueprint:
-    """Return the arrangement of views for a recording.
+    """Return the arrangement of views for a recording, with or without verdicts; the other camera is a tab beside `view`.
 
-    Args:
-        player: The player of the recording.
-        view: The camera that is shown first; the other one is a tab beside it.
-        followed: The actor that they follow; None: the one that the player follows, and without one, they stand still.
-            Any other actor needs the axes that `write` adds with `cameras`.
-        sizes: What `sizes_of` returns, where it is known.
-        verdicts: Whether verdicts of rules are shown.
+    The cameras follow the actor that the player follows, or another one, which needs the axes that `write` adds with
+    `cameras`; without one, they stand still. The actors of the recording are given if they are known.
     """
-    images = image_views(sensors(player.reader))
-    cameras = camera_views(player, followed=followed, sizes=sizes)
-    return arranged(cameras, view, player.followed, images=images, verdicts=verdicts)
+    images = _images(player.reader)
+    shown = [rrb.Spatial2DView(origin=path.rpartition("/")[0], contents=path, name=path.split("/")[-2]) for path in images]
+    hidden = [path for path, kind in images.items() if kind not in PICTURES]
+    followed = player.followed if followed is None else followed
+    if followed is None:
+        cameras = _overviews(first_locations(player), hidden)
+    else:
+        present = actors(player.reader) if lives is None else lives
+        look = next((look_of_present(life) for life in present if life.id == followed), None)
+        own = followed == player.followed
+        axes, suffix = (entities.CHASE, "") if own else (entities.camera(followed), f" {followed}")
+        cameras = _follow_views(axes, suffix, player.followed, None if look is None else look.half_extents, hidden)
+    return _arranged(cameras, view, player.followed, images=shown[:MOST_IMAGES], verdicts=verdicts)
 
 
-def image_views(sensors: Iterable[RecordedSensor]) -> list[rrb.Spatial2DView]:
-    """Return the views of the images of sensors, the first `MOST_IMAGES`."""
-    paths = _image_paths(sensors)[:MOST_IMAGES]
-    return [rrb.Spatial2DView(origin=path.rpartition("/")[0], contents=path, name=path.split("/")[-2]) for path, _ in paths]
+def _images(reader: Reader) -> dict[str, str]:
+    """Return the kinds of the images of sensors by their paths."""
+    kinds = ((sensor.id, kind_of(topic)) for sensor in sensors(reader) for topic in sensor.topics)
+    return {entities.sensor(id, kind): kind for id, kind in kinds if kind in IMAGES}
 
 
-def _image_paths(sensors: Iterable[RecordedSensor]) -> list[tuple[str, str]]:
-    """Return the paths of images, and their kinds."""
-    kinds = ((sensor.id, kind_of(topic)) for sensor in sensors for topic in sensor.topics)
-    return [(entities.sensor(id, kind), kind) for id, kind in kinds if kind in _IMAGES]
-
-
-def arranged(
+def _arranged(
     cameras: Mapping[View, rrb.Spatial3DView],
     view: View,
     ego: int | None,
@@ -91,13 +90,7 @@ def arranged(
 ) -> rrb.Blueprint:
     """Return the arrangement of views around those of the cameras.
 
-    Args:
-        cameras: The views of the cameras.
-        view: The camera that is shown first.
-        ego: The actor that has plots, if any.
-        live: Whether frames are still being added: the viewer then shows the latest one.
-        images: The views of the images of cameras.
-        verdicts: Whether verdicts of rules are shown, before the other lanes.
+    One actor may have plots. A live one shows the latest frame; verdicts of rules are before the other lanes.
     """
     log = rrb.TextLogView(
         origin=entities.EVENTS,
@@ -138,46 +131,14 @@ def live_blueprint(
     followed: int | None = None,
     half_extents: Triple | None = None,
 ) -> rrb.Blueprint:
-    """Return the arrangement of views for a running simulation.
-
-    Args:
-        road_map: The map of the town, which is shown as a whole until an actor is followed.
-        view: The camera that is shown first.
-        followed: The actor that the cameras follow, if any.
-        half_extents: Half the size of its box; None if it is unknown.
-    """
+    """Return the arrangement of views for a running simulation: the map as a whole, until an actor is followed."""
     if followed is not None:
-        return arranged(follow_views(entities.CHASE, "", followed, half_extents), view, followed, live=True)
+        return _arranged(_follow_views(entities.CHASE, "", followed, half_extents), view, followed, live=True)
     locations = np.concatenate(road_map.centre_lines) if road_map is not None else np.zeros((0, 3))
-    return arranged(overviews(locations), view, None, live=True)
+    return _arranged(_overviews(locations), view, None, live=True)
 
 
-def camera_views(
-    player: Player, *, followed: int | None = None, sizes: Mapping[int, Triple | None] | None = None
-) -> dict[View, rrb.Spatial3DView]:
-    """Return the views of both cameras; see `blueprint`."""
-    followed = player.followed if followed is None else followed
-    hidden = [path for path, kind in _image_paths(sensors(player.reader)) if kind not in _COLORED]
-    if followed is None:
-        return overviews(first_locations(player), hidden)
-    size = (sizes_of(player) if sizes is None else sizes).get(followed)
-    if followed == player.followed:
-        return follow_views(entities.CHASE, "", player.followed, size, hidden)
-    return follow_views(entities.camera(followed), f" {followed}", player.followed, size, hidden)
-
-
-def sizes_of(player: Player) -> dict[int, Triple | None]:
-    """Return half the sizes of the actors' boxes by id; None where a size is unknown."""
-    found: dict[int, Triple | None] = {}
-    for frame in player.reader.frames(("spawned",), sparse=True, stop=player.stop):
-        for spawn in frame["spawned"]:
-            if spawn.id not in found:
-                look = look_of_present(ActorLife.of(spawn, frame.elapsed))
-                found[spawn.id] = None if look is None else look.half_extents
-    return found
-
-
-def overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dict[View, rrb.Spatial3DView]:
+def _overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dict[View, rrb.Spatial3DView]:
     """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
     centre, radius = _extent(locations)
     x, y, z = centre
@@ -189,18 +150,10 @@ def overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dic
     }
 
 
-def follow_views(
+def _follow_views(
     axes: str, suffix: str, ego: int | None, half_extents: Triple | None = None, hidden: Sequence[str] = ()
 ) -> dict[View, rrb.Spatial3DView]:
-    """Return the views of cameras that stand still in axes that move.
-
-    Args:
-        axes: The path of the axes.
-        suffix: The end of the titles.
-        ego: The actor whose trail is shown, if any.
-        half_extents: Half the size of the followed actor's box; None if it is unknown.
-        hidden: The paths of what is not shown.
-    """
+    """Return the views of cameras that stand still in axes that move, with the end of their titles and the ego's trail."""
     back, _, up = eye = chase_eye(half_extents)
     ahead = up - back * math.tan(math.radians(LOOK_DOWN))
     return {

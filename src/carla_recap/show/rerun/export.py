@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.recording import Recording
 from carla_recap.replay import Played, Player
 from carla_recap.show.rerun import check_rerun
@@ -66,7 +67,7 @@ def export_rerun(
         FormatError: The file contradicts its format.
     """
     check_rerun()
-    from carla_recap.show.rerun.blueprint import blueprint, sizes_of
+    from carla_recap.show.rerun.blueprint import blueprint
     from carla_recap.show.rerun.ghosts import write_ghosts
     from carla_recap.show.rerun.sinks import rrd_file, save_blueprint
     from carla_recap.show.rerun.writer import filmed, write
@@ -80,10 +81,11 @@ def export_rerun(
         if Path(cameras).absolute() == Path(destination).absolute():
             raise RecapError(f"{cameras}: is the destination itself; a folder was expected")
     player = Player(reader, start=start, duration=duration, follow=follow)
-    cameras_of, sizes = ([], None) if cameras is None else (filmed(player), sizes_of(player))
+    lives = actors(reader)
+    cameras_of = [] if cameras is None else filmed(player, lives)
     with (
         nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
-        rrd_file(destination, blueprint(player, view=view, sizes=sizes, verdicts=bool(verdicts)), force=force) as stream,
+        rrd_file(destination, blueprint(player, view=view, lives=lives, verdicts=bool(verdicts)), force=force) as stream,
     ):
         played = write(
             stream,
@@ -97,5 +99,5 @@ def export_rerun(
         if other is not None:
             write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in cameras_of:
-            save_blueprint(blueprint(player, view=view, followed=id, sizes=sizes), folder / f"follow_{id}.rbl")
+            save_blueprint(blueprint(player, view=view, followed=id, lives=lives), folder / f"follow_{id}.rbl")
     return played

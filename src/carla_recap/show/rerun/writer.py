@@ -11,7 +11,6 @@ import rerun as rr
 from carla_recap.errors import MissingExtra, RecapWarning
 from carla_recap.formats.sources import unsigned
 from carla_recap.model.lives import ROAD_USERS
-from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.sensors import sensors
 from carla_recap.replay import Played, Player
 from carla_recap.replay.follow import HERO
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
     from carla_recap.model.frame import Frame, Header
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.verdicts import Verdict
     from carla_recap.replay import SceneBatch
@@ -273,13 +273,15 @@ def _sensor_writer(stream: Stream, player: Player) -> SensorWriter | None:
     return SensorWriter(stream, reader, player.start, player.stop)
 
 
-def filmed(player: Player) -> list[int]:
+def filmed(player: Player, lives: Iterable[ActorLife]) -> list[int]:
     """Return the vehicles and walkers that get a camera: the first ones of those present while the recording is played."""
-    ids: dict[int, None] = {}  # in their order, each once
-    for actor in actors(player.reader):
-        gone = actor.destroyed_at is not None and actor.destroyed_at <= player.start
-        if actor.kind in ROAD_USERS and actor.spawned_at <= player.stop and not gone:
-            ids[actor.id] = None
+    ids = {
+        life.id: None  # in their order, each once
+        for life in lives
+        if life.kind in ROAD_USERS
+        and life.spawned_at <= player.stop
+        and not (life.destroyed_at is not None and life.destroyed_at <= player.start)
+    }
     if len(ids) > MOST_CAMERAS:
         warnings.warn(
             f"{player.reader.location}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
