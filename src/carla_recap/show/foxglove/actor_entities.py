@@ -97,11 +97,7 @@ class _ShownActor:
 
 
 class _TransformsTemplate:
-    """A message with the transforms of some actors, whose poses differ from message to message.
-
-    Attributes:
-        transforms: The serialized transforms.
-    """
+    """A message with the serialized transforms of some actors, whose poses differ from message to message."""
 
     def __init__(self, transforms: list[bytes]) -> None:
         self.transforms = transforms
@@ -149,9 +145,7 @@ class _TopicEntities:
 class ActorEntities:
     """The messages of the actors: transforms, bodies, lamps. Sensors, which have no body, are left out.
 
-    Args:
-        most_bytes: The size of the messages with models; if actors come and go so often that it is exceeded, all are boxes
-            from then on.
+    If actors come and go so often that the messages with models exceed some bytes, all are boxes from then on.
     """
 
     def __init__(self, most_bytes: float = math.inf) -> None:

@@ -124,11 +124,7 @@ class FollowedMotion:
 
 
 class LightMessages:
-    """The states of the traffic lights, and the light ahead of the followed actor, which is picked out in the scene.
-
-    Attributes:
-        latest: The latest message.
-    """
+    """The states of the traffic lights, as in `latest`, and the light ahead, which is picked out in the scene."""
 
     def __init__(self) -> None:
         self.latest = ShownLights()

@@ -65,14 +65,7 @@ def has_panels(topics: Iterable[Topic]) -> bool:
 
 
 def write_layouts(destination: Path | str, topics: Iterable[Topic], rules: Iterable[str] = ()) -> dict[str, Path]:
-    """Write the layouts of a recording beside it: those of all exports with its sensors, and with the verdicts of rules.
-
-    Returns:
-        The layouts, by the viewers that import them.
-
-    Raises:
-        RecapError: They cannot be written.
-    """
+    """Write the layouts of a recording beside it, with its sensors and the verdicts of rules; return them by the viewers."""
     names = [topic.name for topic in topics if topic.name.startswith(ROOT)]
     images = [name for name in names if kind_of(name) in IMAGES][:_MOST]
     clouds = [name for name in names if kind_of(name) in _COLORS]

@@ -155,17 +155,7 @@ def _check_new(source: Recording, rig: SensorRig) -> None:
 
 
 class _SensedWriter:
-    """Writes a recording, its scene, and samples, in step.
-
-    Args:
-        source: The recording.
-        writer: Writes the file, which has the topics of the sensors.
-        messages: Makes the messages of samples.
-        copy: Copies the further topics of the recording.
-
-    Attributes:
-        samples: The number of samples of each sensor, by id.
-    """
+    """Writes a recording, its scene, and samples, in step; counts the samples of each sensor, by id."""
 
     def __init__(self, source: Recording, writer: McapWriter, messages: SensorMessages, copy: TopicCopy) -> None:
         self.samples: Counter[str] = Counter()

@@ -86,11 +86,7 @@ _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: L
 
 
 def passed_topics(reader: Reader) -> list[Topic]:
-    """Return the topics of a recording that are passed on to Foxglove beside those of its scenes, such as those of sensors.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the topics of a recording that Foxglove gets beside those of its scenes, such as those of sensors."""
     own = {topic.name for topic in TOPICS}
     found = [each.topic for name, each in reader.further_topics().items() if name not in own]
     return [topic for topic in found if topic.message and topic.encoding == topic.schema_encoding == _PROTOBUF]
@@ -122,17 +118,10 @@ class TimedMessages(NamedTuple):
 
 
 class SceneMessages:
-    """Makes the messages of scenes, which have to come in order.
+    """Makes the messages of scenes, which have to come in order; with events, they are shown beside the `rate` per second.
 
-    Args:
-        header: The header of the recording.
-        follow: The id of the followed actor.
-        town: The town, if it is known.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`. More may be added later.
-        most_bytes: See `ActorEntities`.
-
-    Attributes:
-        rate: The number of scenes shown per second, at most; scenes with events are shown besides.
+    The town is given if it is known; for the stops, of which more may be added later, see `carla_recap.scene.ahead`, for the
+    most bytes `ActorEntities`.
     """
 
     def __init__(
@@ -247,13 +236,8 @@ class SceneMessages:
 class RecordingMessages:
     """Makes the messages of a recording: first of its scenes, then of its incidents, whose times begin again.
 
-    Args:
-        source: The recording.
-        player: Plays it, or a part of it.
-        road_map: The map of the town.
-        incidents: Which incidents are found; None: all kinds, those against the rules of the road if the map is given.
-        uncut: What the recording is a clip of, if that is known.
-        verdicts: What rules say of the recording.
+    Without options, incidents of all kinds are found, those against the rules of the road if the map is given. `uncut` is
+    what the recording is a clip of, if that is known.
     """
 
     def __init__(

@@ -11,6 +11,7 @@ import math
 from bisect import bisect_left
 from heapq import merge
 from itertools import chain
+from operator import attrgetter
 from threading import Event, Lock, Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
@@ -42,11 +43,17 @@ from carla_recap.show.foxglove.topics import (
 from carla_recap.town.mesh import town_of_map
 from carla_recap.util.signals import unwind_on_termination
 
+try:
+    import foxglove
+    from foxglove.websocket import Capability, PlaybackCommand, PlaybackState, PlaybackStatus, ServerListener
+except ImportError:
+    raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import TracebackType
 
-    from foxglove.websocket import ChannelView, Client, PlaybackControlRequest, PlaybackState
+    from foxglove.websocket import ChannelView, Client, PlaybackControlRequest
 
     from carla_recap.formats.base import Topic
     from carla_recap.model.frame import Frame, Header
@@ -54,8 +61,8 @@ if TYPE_CHECKING:
     from carla_recap.replay import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
-    from carla_recap.roads.network import RoadNetwork
     from carla_recap.util.arrays import Floats
+
 PORT: Final = 8765
 """The port that Foxglove suggests."""
 
@@ -70,35 +77,16 @@ _WHOLE_AFTER: Final = 10 * SECOND
 _MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses older ones
 
 
-def check_sdk() -> None:
-    """Check that Foxglove's SDK is installed."""
-    try:
-        import foxglove  # noqa: F401
-    except ImportError:
-        raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
-
-
 class FoxgloveServer:
     """Sends messages to all viewers that are connected, during a `with` block; it listens on the loopback alone.
 
-    Args:
-        name: What viewers call the connection.
-        port: The port; 0: any free one.
-        timeline: The timeline by which viewers play a recording; None: what is sent is live.
-        further: The topics beside those of scenes, such as those of sensors.
-
-    Raises:
-        RecapError: The port is in use.
-        MissingExtra: Foxglove's SDK is not installed.
+    Viewers play a recording by its timeline; without one, what is sent is live. Further topics are those beside the ones of
+    scenes, such as those of sensors. A `RecapError` says that the port is in use; 0 is any free one.
     """
 
     def __init__(self, name: str, port: int = PORT, timeline: Timeline | None = None, further: Sequence[Topic] = ()) -> None:
-        check_sdk()
-        import foxglove
-        from foxglove.websocket import Capability, ServerListener
-
         self._timeline = timeline
-        self._requests = type("Listener", (_Requests, ServerListener), {})(timeline)  # with callbacks that do nothing, too
+        self._requests = _Requests(timeline)
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
         self._whole_at: dict[str, int] = {}  # when a message of each topic is sent whole again, in ns since 1970
         self._time: int | None = None
@@ -187,12 +175,7 @@ class FoxgloveServer:
 
 
 class Timeline:
-    """Where playback is, which viewers change in threads of theirs. It begins paused.
-
-    Args:
-        start: The first moment, in ns since 1970.
-        stop: The last one.
-    """
+    """Where playback is between two moments, in ns since 1970; viewers change it in threads of theirs. It begins paused."""
 
     def __init__(self, start: int, stop: int) -> None:
         self.start, self.stop = start, stop
@@ -219,8 +202,6 @@ class Timeline:
 
     def request(self, request: PlaybackControlRequest) -> PlaybackState:
         """Do what a viewer requests, and return the new state."""
-        from foxglove.websocket import PlaybackCommand
-
         with self._lock:
             seek = request.seek_time
             self._playing = request.playback_command == PlaybackCommand.Play
@@ -254,18 +235,12 @@ class Timeline:
             return self._state()
 
     def _state(self, *, did_seek: bool = False, request: str | None = None) -> PlaybackState:
-        from foxglove.websocket import PlaybackState, PlaybackStatus
-
         status = PlaybackStatus.Ended if self._ended else PlaybackStatus.Playing if self._playing else PlaybackStatus.Paused
         return PlaybackState(status, int(self._now), self._speed, did_seek, request)
 
 
-class _Requests:
-    """Takes the requests of viewers, in threads of the SDK.
-
-    Attributes:
-        requested: Is set by each request of playback.
-    """
+class _Requests(ServerListener):
+    """Takes the requests of viewers, in threads of the SDK; `requested` is set by each request of playback."""
 
     def __init__(self, timeline: Timeline | None) -> None:
         self._timeline = timeline
@@ -309,24 +284,11 @@ def serve_recording(
     progress: Progress | None = None,
     ready: Callable[[str], object] = print,
 ) -> None:
-    """Let Foxglove play a recording, until Ctrl-C is pressed.
+    """Let Foxglove play a recording, until Ctrl-C is pressed; for the arguments, see `export_foxglove`.
 
-    Args:
-        source: The recording.
-        port: The port of the WebSocket; 0: any free one.
-        follow: The actor that the layouts follow: see `export_foxglove`.
-        start: The beginning, in elapsed seconds; negative: before the end.
-        duration: The length in seconds; 0: all of the rest.
-        road_map: The map of the town.
-        progress: Is given the scenes and their player while incidents are searched, and passes the scenes on.
-        ready: Gets the address as soon as viewers can connect.
-
-    Raises:
-        RecapError: The actor or the time does not exist, or the port is in use.
-        MissingExtra: Foxglove's SDK is not installed.
-        FormatError: The file contradicts its format.
+    Its scenes are gone through once before, to find incidents. `ready` gets the address as soon as viewers can connect; the
+    port 0 is any free one. A `RecapError` says that the actor or the time does not exist, or the port is in use.
     """
-    check_sdk()
     played = _PlayedRecording(source, follow, start, duration, road_map, progress)
     timeline = Timeline(*played.span)
     name = source.reader.path.name
@@ -371,9 +333,7 @@ def _play(played: _PlayedRecording, timeline: Timeline, server: FoxgloveServer) 
 class _PlayedRecording:
     """A recording that is played from any moment on.
 
-    Attributes:
-        span: Its first and its last moment, in ns since 1970.
-        further: Its topics beside those of scenes, such as those of sensors.
+    Its span is between two moments in ns since 1970; its further topics are those beside the ones of scenes.
     """
 
     def __init__(
@@ -398,7 +358,11 @@ class _PlayedRecording:
         self.further = passed_topics(source.reader)
         self._map = map_message(town, timestamps(np.array([first], np.uint64))[0])
         roads = road_network_of_map(road_map) if town is not None else None
-        self._incidents = self._find_incidents(player, clock, roads, progress)
+        incidents = PlayedIncidents(player, roads)
+        # As a view, the times of a batch would keep all of it in memory.
+        seconds: Floats = np.concatenate([batch.time.copy() for batch in player.batches(progress)])
+        times = np.array([clock.at(time) or 0 for time in seconds.tolist()], np.uint64)
+        self._incidents = sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=attrgetter("time"))
 
     def messages(self, moment: int, rate: Callable[[], float]) -> Iterator[Sent]:
         """Yield the messages from some time before a moment on, in the order of time; of sensors, the latest ones then, too.
@@ -407,10 +371,10 @@ class _PlayedRecording:
         """
         elapsed = self._clock.elapsed(moment)
         begin = max(elapsed - _LEAD, self._start)
-        first = bisect_left(self._incidents, moment, key=lambda sent: sent.time)
+        first = bisect_left(self._incidents, moment, key=attrgetter("time"))
         states = [sent for sent in self._incidents[:first] if sent.topic == STATES][-1:]
         parts = self._scenes(begin, rate), self._further(elapsed, rate), [*states, *self._incidents[first:]]
-        return merge(*parts, key=lambda sent: sent.time)
+        return merge(*parts, key=attrgetter("time"))
 
     def _further(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
         """Yield the further messages: the latest ones at a time, then those that follow, fewer while it plays faster."""
@@ -436,26 +400,9 @@ class _PlayedRecording:
                     yield sent._replace(data=self._map) if sent.topic == MAP else sent
         yield from messages.end().in_order()
 
-    def _find_incidents(
-        self, player: Player, clock: LogClock, roads: RoadNetwork | None, progress: Progress | None
-    ) -> list[Sent]:
-        """Return the messages of incidents, in the order of time."""
-        incidents = PlayedIncidents(player, roads)
-        # As a view, the times of a batch would keep all of it in memory.
-        seconds: Floats = np.concatenate([batch.time.copy() for batch in player.batches(progress)])
-        times = np.array([clock.at(time) or 0 for time in seconds.tolist()], np.uint64)
-        return sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=lambda sent: sent.time)
-
 
 class FoxgloveView:
-    """Shows the frames of a running simulation as they come.
-
-    Args:
-        server: What sends them.
-        header: The header of the recording.
-        follow: The actor that the layouts follow as soon as it is present; see `LiveFollow`.
-        road_map: The map of the town.
-    """
+    """Shows the frames of a running simulation as they come; for the actor to follow, see `LiveFollow`."""
 
     def __init__(
         self, server: FoxgloveServer, header: Header, follow: Follow = HERO, road_map: RoadMap | None = None

@@ -44,12 +44,7 @@ class PageImages(NamedTuple):
 
 
 def camera_of(recording: Recording, camera: str | None) -> str | None:
-    """Return the camera to show: the given one, or the one that looks ahead the most; None if there are no images.
-
-    Raises:
-        RecapError: The recording has no images of the given camera; the message lists those that it has.
-        FormatError: The file contradicts its format.
-    """
+    """Return the camera to show: the given one, or the one that looks ahead the most; None if there are no images."""
     found = [sensor for sensor in sensors(recording.reader) if has_images(sensor)]
     if camera is None:
         return min(found, key=_angle).id if found else None
@@ -69,17 +64,7 @@ def _angle(sensor: RecordedSensor) -> float:
 
 
 def page_images(recording: Recording, camera: str, spans: Iterable[tuple[float, float]]) -> PageImages | None:
-    """Return the images of a camera for a page; None if there are none at its times.
-
-    Args:
-        recording: The recording, which has images of it.
-        camera: The id of the camera.
-        spans: The intervals that the page shows: first and last time, in elapsed seconds.
-
-    Raises:
-        FormatError: An image cannot be decoded, or the file contradicts its format.
-        MissingExtra: An optional dependency is not installed.
-    """
+    """Return the images of a camera in the intervals that a page shows, in elapsed seconds; None if there are none."""
     from carla_recap.sensors.decoding import StoredImages
 
     size, step = (0, 0), 1 / RATE

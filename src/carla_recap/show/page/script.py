@@ -76,11 +76,8 @@ class Packer:
     def column(self, values: ArrayLike, unit: float = 1.0, *, order: int = 1) -> dict[str, list[float]]:
         """Add a column of finite numbers, and return the reference to it.
 
-        Args:
-            values: The numbers.
-            unit: The precision; numbers of more than a thousand million units get a larger one.
-            order: The number of times to take differences: 0 for numbers that do not continue each other, 1 for those that
-                do, 2 for those that change steadily.
+        The unit is the precision; numbers of more than a thousand million units get a larger one. Differences are taken
+        0 times of numbers that do not continue each other, once of those that do, twice of those that change steadily.
         """
         numbers = np.asarray(values, np.float64)
         unit = max(unit, float(np.abs(numbers).max(initial=0.0)) / _LARGEST)
@@ -98,11 +95,7 @@ class Packer:
         self._size += len(part)
 
     def pack(self, value: Any) -> str:
-        """Return a value of JSON's types, with the columns, as text.
-
-        Raises:
-            ValueError: The value contains NaN or infinity.
-        """
+        """Return a value of JSON's types, without NaN or infinity, with the columns, as text."""
         head = json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
         content = b"".join((struct.pack("<I", len(head)), head, *self._parts))
         return base64.b64encode(zlib.compress(content, LEVEL)).decode()

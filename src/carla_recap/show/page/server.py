@@ -56,15 +56,7 @@ class _Handler(SimpleHTTPRequestHandler):
 
 
 def page_server(folder: Path | str, port: int = 0) -> ThreadingHTTPServer:
-    """Return a server for a folder, on the loopback alone; it serves in `serve_forever`.
-
-    Args:
-        folder: The folder of a page.
-        port: The port; 0: any free port.
-
-    Raises:
-        RecapError: The folder has no page, or the port is taken.
-    """
+    """Return a server for the folder of a page, on the loopback alone, at a port, 0: any; it serves in `serve_forever`."""
     if not (Path(folder) / "index.html").is_file():
         raise RecapError(f"{folder}: has no index.html; a folder that `carla-recap report` wrote was expected")
     try:
@@ -74,16 +66,7 @@ def page_server(folder: Path | str, port: int = 0) -> ThreadingHTTPServer:
 
 
 def serve(folder: Path | str, port: int = 0, *, ready: Callable[[str], object] = print) -> None:
-    """Serve a page until Ctrl-C.
-
-    Args:
-        folder: The folder of a page.
-        port: The port; 0: any free port.
-        ready: Gets the address as soon as the server accepts connections.
-
-    Raises:
-        RecapError: See `page_server`.
-    """
+    """Serve a page until Ctrl-C; `ready` gets the address as soon as the server accepts connections; see `page_server`."""
     with page_server(folder, port) as server:
         ready(f"http://{HOST}:{server.server_port}/")
         try:

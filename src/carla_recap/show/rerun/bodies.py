@@ -50,16 +50,9 @@ _WITH_LAMPS: Final = ("vehicle", "traffic_light")
 
 
 class ActorWriter:
-    """Writes all actors.
+    """Writes all actors; of those that the camera follows, the names are always shown.
 
-    Args:
-        stream: The stream.
-        followed: The actor that the camera follows: its name is always shown.
-        roads: Whether the map has roads.
-        cameras: Ids of other actors that get the axes of a camera, if they are vehicles or walkers.
-
-    Attributes:
-        models: The present actors that are drawn as models.
+    Vehicles and walkers among `cameras` get the axes of a camera. `models` are the present actors that are drawn as models.
     """
 
     def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int]) -> None:

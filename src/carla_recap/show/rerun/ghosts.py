@@ -57,13 +57,7 @@ def write_ghosts(
 
 
 class GhostWriter:
-    """Writes ghosts.
-
-    An actor, by its id and the time of its spawn, is shown from some elapsed seconds on; some have names.
-
-    Attributes:
-        count: The number of ghosts that were written.
-    """
+    """Writes ghosts: an actor, by its id and its spawn, is shown from some elapsed seconds on; some have names."""
 
     def __init__(self, stream: Stream, shown: dict[tuple[int, float], float], named: set[tuple[int, float]]) -> None:
         self.count = 0

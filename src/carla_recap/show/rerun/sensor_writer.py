@@ -43,13 +43,7 @@ _LEAVING: Final = np.array((80.0, 150.0, 255.0))
 
 
 class SensorWriter:
-    """Writes what the sensors of a recording measured.
-
-    The scenes begin and end at some elapsed seconds.
-
-    Raises:
-        MissingExtra: An optional dependency is not installed.
-    """
+    """Writes what the sensors of a recording measured between two moments, in elapsed seconds."""
 
     def __init__(self, stream: Stream, reader: Reader, start: float, stop: float) -> None:
         self._stream = stream

@@ -119,13 +119,9 @@ def write_sky(stream: Stream, center: Floats, radius: float) -> None:
 
 
 def write_map(stream: Stream, roads: RoadMap, extent: Floats | None = None) -> None:
-    """Write the roads as seen from above.
+    """Write the roads as seen from above, in an extent only those around, so that the viewer shows these.
 
-    Args:
-        stream: The stream.
-        roads: The roads.
-        extent: The least x and y and the greatest x and y of the actors, in m, in the axes of the map: only the
-            roads around are written, so that the viewer shows these; None: all roads.
+    It is the least x and y and the greatest x and y of the actors, in m, in the axes of the map.
     """
     layers = (
         (entities.MAP_ROADS, roads.centre_lines, style.MAP_ROAD, [style.LANE / 2], 0.0),

@@ -47,16 +47,10 @@ _GRACE: Final = 5.0  # s to end by itself
 
 
 class RerunViewer:
-    """Rerun's viewer as a child process, which runs during a `with` block.
+    """Rerun's viewer as a child process, which runs during a `with` block, with arguments of its command line.
 
-    It sends no usage data, and listens on the loopback alone, at a free port.
-
-    Args:
-        arguments: The arguments of its command line.
-        quiet: Whether it shows errors only, and no notices.
-
-    Raises:
-        MissingExtra: There is no viewer.
+    It sends no usage data, and listens on the loopback alone, at a free port; `quiet`, it shows errors only. A
+    `MissingExtra` says that there is no viewer.
     """
 
     def __init__(self, *arguments: Path | str, quiet: bool = True) -> None:
@@ -92,11 +86,7 @@ class RerunViewer:
             raise self._failure()
 
     def wait_for(self, what: str, condition: Callable[[], T | None]) -> T:
-        """Wait until a condition returns a value that is true, and return the value.
-
-        Raises:
-            RecapError: The viewer ended, or the condition is not met within `TIMEOUT`.
-        """
+        """Wait until a condition returns a value that is true, and return the value; a `RecapError` after `TIMEOUT`."""
         deadline = time.monotonic() + TIMEOUT
         while time.monotonic() < deadline:
             answer = condition()
@@ -107,14 +97,7 @@ class RerunViewer:
         raise RecapError(f"the Rerun viewer: no {what} within {TIMEOUT:g} s{self._reason()}")
 
     def port(self, announced: re.Pattern[str]) -> int:
-        """Return a port on which it listens.
-
-        Args:
-            announced: The message about the port in its log: `GRPC_PORT` or `WEB_PORT`.
-
-        Raises:
-            RecapError: It ended, or does not open the port within `TIMEOUT`.
-        """
+        """Return a port on which it listens, as its log announces it: `GRPC_PORT` or `WEB_PORT`."""
         return int(self.wait_for("open port", lambda: announced.search(self._output()))[1])
 
     def check(self) -> None:
@@ -164,24 +147,10 @@ def view(
     progress: Progress | None = None,
     ready: Callable[[str], object] = print,
 ) -> None:
-    """Show a recording until the viewer is closed or Ctrl-C is pressed.
+    """Show a recording until the viewer is closed or Ctrl-C is pressed; for the other arguments, see `export_rerun`.
 
-    Args:
-        source: The recording.
-        web: Serve the viewer to a browser, on the loopback alone; else open a window.
-        web_port: The port for the browser; 0: any free one.
-        follow: The actor that the camera follows: see `export_rerun`.
-        start: The beginning, in elapsed seconds.
-        duration: The length in seconds.
-        view: The camera that is shown first.
-        road_map: The map of the town.
-        progress: Gets the scenes and their player, and yields the scenes.
-        ready: Gets the address for the browser as soon as the server accepts connections.
-
-    Raises:
-        RecapError: The actor or the time does not exist, no display is available, or the viewer failed.
-        MissingExtra: There is no viewer.
-        FormatError: The file contradicts its format.
+    With `web`, the viewer is served to a browser, on the loopback alone, at a port, 0: any free one; `ready` gets the
+    address. A `RecapError` says that the actor or the time does not exist, there is no display, or the viewer failed.
     """
     reader = source.reader if isinstance(source, Recording) else source
     _binary()  # which may be missing

@@ -65,15 +65,10 @@ def describe(stream: rr.RecordingStream, header: Header, name: str, source: str)
 
 
 class SceneWriter:
-    """Writes scenes: the actors, the traffic lights, the events, and what is shown of the followed actor.
+    """Writes scenes: the actors, the traffic lights, the events, and what is shown of the followed actor, if any.
 
-    Args:
-        stream: The stream.
-        followed: The actor that the camera follows, if any.
-        road_map: The map of the town.
-        cameras: Ids of other actors that get the axes of a camera.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`. More may be added later.
-        live: Whether all roads are on the map from the start on, and not only at the end those around the actors.
+    Other actors get the axes of a camera. For the stops, of which more may be added later, see `carla_recap.scene.ahead`.
+    Live, all roads are on the map from the start on, and not only at the end those around the actors.
     """
 
     def __init__(
@@ -161,16 +156,9 @@ class SceneWriter:
 
 
 class LiveView:
-    """Shows frames as they come.
+    """Shows frames as they come, in a stream whose blueprint is that of `live_blueprint`.
 
-    Args:
-        stream: The stream, whose blueprint is that of `live_blueprint`.
-        header: The header of the recording.
-        source: The origin of the frames.
-        follow: The actor that the camera follows as soon as it is present: an id, or "hero". As long as there is no hero,
-            it follows a vehicle or walker that moves.
-        view: The camera that is shown first.
-        road_map: The map of the town.
+    For the actor that the camera follows as soon as it is present, see `LiveFollow`.
     """
 
     def __init__(
@@ -218,23 +206,10 @@ def write(
     progress: Progress | None = None,
     cameras: Collection[int] = (),
 ) -> Played:
-    """Play a recording into a stream, which has to be flushed afterwards.
+    """Play a recording into a stream, which has to be flushed afterwards; for the arguments, see `export_rerun`.
 
-    Args:
-        stream: A file, a viewer or a pipe.
-        player: The player of the recording.
-        road_map: The map of the town.
-        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is given.
-        verdicts: What rules say of the recording.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-        cameras: Ids of other actors than the followed one that get the axes of a camera, too.
-
-    Warns:
-        RecapWarning: The map is that of another town, there are too many actors to show all of them, or the recording has
-            sensors, and an optional dependency for them is not installed.
-
-    Raises:
-        FormatError: The file contradicts its format.
+    Actors other than the followed one get the axes of a camera, too, if they are among `cameras`. A `RecapWarning` says that
+    the map is that of another town, there are too many actors to show all of them, or sensors are left out.
     """
     reader = player.reader
     describe(stream, reader.header, reader.path.name, unsigned(reader.location))

@@ -50,12 +50,7 @@ _ACCENTS: Final = (
 
 
 def check_video(path: Path, size: Size, rate: float, frames: int) -> None:
-    """Check that a video of a suffix, size and rate can be written.
-
-    Raises:
-        RecapError: It cannot; the message says why.
-        MissingExtra: PyAV or Pillow is not installed.
-    """
+    """Check that a video of a suffix, size and rate can be written, and that what it needs is installed."""
     suffix, (width, height) = path.suffix.lower(), size
     if suffix not in SUFFIXES:
         raise RecapError(f"{path}: a video is written as {' or '.join(SUFFIXES)}")
@@ -80,39 +75,23 @@ def check_video(path: Path, size: Size, rate: float, frames: int) -> None:
 
 
 def check_size(size: Size) -> None:
-    """Check the size of a video or picture.
-
-    Raises:
-        RecapError: It is too small or too large.
-    """
+    """Check the size of a video or picture, in pixels."""
     width, height = size
     if not (SMALLEST <= width <= LARGEST and SMALLEST <= height <= LARGEST):
         raise RecapError(f"{width} x {height}: the sides of a picture are from {SMALLEST} to {LARGEST} pixels")
 
 
 def create_video(path: Path, size: Size, rate: float, samples: Sequence[Picture] = (), *, force: bool = True) -> _Mp4 | _Gif:
-    """Create a video; its suffix determines the format.
+    """Create a video as `check_video` permits it, an .mp4 or .gif; for `force`, see `AtomicFile`.
 
-    Args:
-        path: The destination, an .mp4 or .gif; see `check_video`.
-        size: The width and the height, in pixels.
-        rate: The frames per second.
-        samples: Pictures of the video, from which a GIF gets its palette; by default, from the first one.
-        force: See `AtomicFile`.
-
-    Raises:
-        RecapError: The destination cannot be written to.
+    A GIF gets its palette from pictures of the video, by default from the first one.
     """
     is_gif = path.suffix.lower() == ".gif"
     return _Gif(path, rate, samples, force=force) if is_gif else _Mp4(path, size, rate, force=force)
 
 
 def check_packages(suffix: str) -> None:
-    """Check that what a video of a suffix needs is installed.
-
-    Raises:
-        MissingExtra: It is not.
-    """
+    """Check that what a video of a suffix needs is installed."""
     try:
         for package in ("PIL.Image", *(("av",) if suffix == ".mp4" else ())):
             import_module(package)

@@ -61,19 +61,11 @@ class VideoShot(NamedTuple):
 
 
 class Film:
-    """The pictures of a video or a single one, as what is to be drawn.
+    """The pictures of a video or a single one, as what is to be drawn, between the start and the stop of a player.
 
-    Args:
-        recording: The recording.
-        player: Plays it; its start and stop are those of the video.
-        view: The view.
-        size: The size of the pictures.
-        speed: The seconds of the recording in a second of the video.
-        rate: The frames per second of the video.
-        frames: The number of frames; None: a single picture.
-        shown: Which incidents are shown, see `carla_recap.scene.captions.shown_options`; None: nothing is written on the
-            pictures.
-        contacts: The contacts of the recording, if there are several films of it.
+    The speed is in seconds of the recording in a second of the video, the rate in frames per second; without a number of
+    frames, it is a single picture. Nothing is written on the pictures unless it is said which incidents are `shown`; see
+    `carla_recap.scene.captions.shown_options`. The contacts of the recording are given if there are several films of it.
     """
 
     def __init__(
@@ -229,18 +221,9 @@ def opened_renderer(
 ) -> Iterator[Future[RenderProcess]]:
     """Yield a renderer: a given one, which stays open, or a new one, which is made in another thread, and closed.
 
-    Args:
-        renderer: The given one.
-        town: The town of a new one; None: that of the recording's map, or if that is unknown, roads where its vehicles have
-            driven.
-        recording: The recording.
-        start: The elapsed seconds from which on it is shown.
-        stop: The elapsed seconds until which it is shown.
-        supersampling: How many times as wide and high pictures are drawn before they are made smaller.
-
-    Raises:
-        RecapError: There is no driver to draw with.
-        MissingExtra: An optional dependency is not installed.
+    The town of a new one, if none is given, is that of the recording's map, or if that is unknown, roads where its vehicles
+    have driven around what is shown, from `start` to `stop` in elapsed seconds. Pictures are drawn `supersampling` times as
+    wide and high before they are made smaller.
     """
     if renderer is not None:
         given: Future[RenderProcess] = Future()

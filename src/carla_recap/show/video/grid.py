@@ -36,9 +36,7 @@ class ImagePlace(NamedTuple):
 class CameraGrid:
     """Where the images of cameras are in a picture: rows from left to right, as many columns as rows or one more.
 
-    Args:
-        sizes: The sizes of the images by the ids of the cameras.
-        size: The size of the picture; None: that of the largest images side by side, as far as a video can have it.
+    Without a size, the picture has that of the largest images side by side, as far as a video can have it.
     """
 
     def __init__(self, sizes: Mapping[str, Size], size: Size | None = None) -> None:
@@ -62,12 +60,7 @@ class CameraGrid:
         return len(self._places)
 
     def picture(self, images: Mapping[str, NDArray[np.uint8]], *, names: bool) -> Picture:
-        """Return the images of cameras as one picture: blue, green, red, alpha.
-
-        Args:
-            images: The images: red, green, blue; the places of those that are missing stay dark.
-            names: Whether each has the id of its camera in its lower right corner.
-        """
+        """Return the images of cameras, red, green, blue, as one picture: blue, green, red, alpha."""
         from PIL import Image, ImageDraw, ImageFont
 
         canvas = Image.new("RGB", self.size, _BACKGROUND)

@@ -117,14 +117,7 @@ def _common(first: Rectangle, second: Rectangle | None) -> float:
 
 
 class Overlay:
-    """Draws readings over the pictures of a video.
-
-    Args:
-        size: The size of the pictures.
-        map_name: The name of the map.
-        speed: The speed at which the video plays.
-        marks: The incidents of the video: the part of it at which each happens, from 0 to 1, and its kind.
-    """
+    """Draws readings over the pictures of a video; marks are when its incidents happen, from 0 to 1, and their kinds."""
 
     def __init__(
         self, size: Size, *, map_name: str = "", speed: float = 1.0, marks: Sequence[tuple[float, str]] = ()
