@@ -25,7 +25,7 @@ from carla_recap.show.video.film import Film
 from tests.replay.scripts import light, matrix_of, pose, spawn, write
 from tests.samples import SAMPLES, carla_log
 from tests.scene.accidents import WALKER, accident
-from tests.show.page.conftest import WITHOUT_ROADS, data
+from tests.show.page.conftest import WITHOUT_ROADS, data, lying, marks, values_at
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
@@ -311,13 +311,13 @@ def _in_foxglove(topics, time: float, users: set[int], walkers: set[int]) -> See
 
 
 def _in_page(replay, measured, time: float, followed: int | None, users: set[int]) -> Seen:
-    present, lamps = replay.poses(time), replay.lamps_at(time)
+    present, lamps = replay.poses(time), values_at(replay.lamps, time)
     poses = {replay.actors[index].id: pose for index, pose in present.items()}
     found = Seen(
         {id: pose[:2] for id, pose in poses.items() if id in users},
         {id: pose[2] for id, pose in poses.items()},
-        lying={replay.actors[index].id for index in replay.lying_at(time)},
-        marks=[tuple(place) for place in replay.marks_at(time).tolist()],
+        lying=set(lying(replay, time)),
+        marks=[tuple(place) for place in marks(replay, time)],
         speed=_known(poses[followed][3]) if followed in poses else None,
     )
     for index, flags in lamps.items():

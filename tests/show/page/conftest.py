@@ -87,3 +87,17 @@ def sampled(path: Path, rate: float = 20.0) -> SampledReplay:
         for scene in Player(recording).scenes():
             sampler.add(scene)
         return sampler.finish()
+
+
+def values_at(changes: list[tuple[int, float, int]], time: float) -> dict[int, int]:
+    """Return the values at a time, by the indices of the actors."""
+    return {actor: value for actor, since, value in changes if since <= time + 1e-4}
+
+
+def lying(replay: SampledReplay, time: float) -> dict[int, int]:
+    """Return the headings of the heads of the walkers that lie, by their ids."""
+    return {replay.actors[index].id: yaw for index, yaw in values_at(replay.lying, time).items() if yaw >= 0}
+
+
+def marks(replay: SampledReplay, time: float) -> list[list[float]]:
+    return [[], *(places.tolist() for since, places in replay.marks if since <= time + 1e-4)][-1]

@@ -12,7 +12,7 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.show.page import Opening, samples, write_report
 from carla_recap.town.mesh import load_town_of
 from tests.replay.scripts import pose, spawn
-from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
+from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, lying, marks, record, report
 
 
 def test_the_summary_is_that_of_the_recording(crossing_page: Path) -> None:
@@ -74,10 +74,9 @@ def test_who_was_knocked_down_before_an_interval_lies_in_it(tmp_path: Path, monk
         found = incidents(recording.reader, IncidentOptions(kinds=["collision"]))
         replay, whole = samples.sample(recording, found[1:], 1.0, 0.5, None)
     assert (whole, replay.spans) == (False, [(pytest.approx(28.0), pytest.approx(29.5))])
-    lying = {replay.actors[index].id: yaw for index, yaw in replay.lying_at(28.5).items()}
-    assert lying == {2: 0}
-    assert len(replay.marks_at(28.5)) == 0
-    assert len(replay.marks_at(29.2)) == 1
+    assert lying(replay, 28.5) == {2: 0}
+    assert len(marks(replay, 28.5)) == 0
+    assert len(marks(replay, 29.2)) == 1
 
 
 def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

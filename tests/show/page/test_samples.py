@@ -14,7 +14,7 @@ from carla_recap.scene.follow import followed_series
 from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data
 from tests.replay.scripts import spawn
-from tests.show.page.conftest import CROSSING, record, sampled, unpack
+from tests.show.page.conftest import CROSSING, record, sampled, unpack, values_at
 
 
 def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_each_change_of_a_light_is_recorded_once() -> None:
         (42, 1),
         (45, 0),
     ]
-    assert replay.light_states(13)[lamp] == 1
+    assert values_at(replay.lights, 13)[lamp] == 1
 
 
 def test_the_leaders_of_one_life_stay_when_its_id_is_used_again(tmp_path: Path) -> None:

@@ -13,9 +13,7 @@ import numpy as np
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import possible_step
 from carla_recap.queries.measures.definitions import NO_OTHER
-from carla_recap.queries.measures.motion_table import MotionCollector
-from carla_recap.queries.measures.series import MARGIN, series_of
-from carla_recap.queries.recorded_actors import actors as recorded_actors
+from carla_recap.queries.measures.series import measures_over_time
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.player import Player
@@ -27,21 +25,18 @@ from carla_recap.scene.falls import RecordedContacts
 from carla_recap.scene.follow import FollowedActor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
-    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import Scene, SceneBatch
-    from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.util.arrays import Floats, Ids, Integers
+    from carla_recap.util.arrays import Floats, Ids, Indices, Integers
 
 
 BLOCK: Final = 128  # samples that are handled together
@@ -141,32 +136,11 @@ class SampledReplay:
         """Return the ids of the actors that are present at a time."""
         return {self.actors[actor].id for actor in self.poses(time)}
 
-    def light_states(self, time: float) -> dict[int, int]:
-        """Return the states of the traffic lights at a time, by their indices in `actors`."""
-        return _latest(self.lights, time)
-
-    def lying_at(self, time: float) -> dict[int, int]:
-        """Return the headings of the heads of the walkers that lie at a time, in degrees, by their indices in `actors`."""
-        return {actor: heading for actor, heading in _latest(self.lying, time).items() if heading >= 0}
-
-    def lamps_at(self, time: float) -> dict[int, int]:
-        """Return the lit lamps of vehicles at a time, by their indices in `actors`."""
-        return _latest(self.lamps, time)
-
-    def marks_at(self, time: float) -> Floats:
-        """Return where marks of collisions are at a time, (marks, 2) in m."""
-        shown = [places for since, places in self.marks if since <= time + _SAME_TIME]
-        return shown[-1] if shown else np.zeros((0, 2))
-
     @cached_property
     def _bounds(self) -> NDArray[np.int64]:
         """The actor, the first and the last sample of each track."""
         bounds = [(track.actor, track.first, track.last) for track in self.tracks]
         return np.array(bounds, np.int64).reshape(-1, 3).T
-
-
-def _latest(changes: Iterable[Change], time: float) -> dict[int, int]:
-    return {actor: value for actor, since, value in changes if since <= time + _SAME_TIME}
 
 
 class _Changes:
@@ -175,23 +149,14 @@ class _Changes:
     def __init__(self) -> None:
         self.rows: list[Change] = []
         self._now: dict[int, int] = {}
-        self._added: tuple[bytes, ...] = ()
 
     def add(self, time: float, index: Mapping[int, int], ids: Ids, values: Integers, gone: int) -> None:
         """Add the values of actors at a time, given by their ids; any other actor has `gone`."""
-        added = ids.tobytes(), values.tobytes()
-        if added == self._added:
-            return
-        self._added = added
         now = {index[id]: value for id, value in zip(ids.tolist(), values.tolist(), strict=True) if id in index}
         if now != self._now:
             self.rows += [(actor, time, value) for actor, value in now.items() if self._now.get(actor, gone) != value]
             self.rows += [(actor, time, gone) for actor, value in self._now.items() if actor not in now and value != gone]
             self._now = now
-
-    def begin(self) -> None:
-        """Expect other actors under the ids of before."""
-        self._added = ()
 
 
 class Sampler:
@@ -288,8 +253,6 @@ class Sampler:
     def _update_actors(self, description: SceneDescription) -> None:
         """Find the actors of some scenes."""
         self._changed = False
-        for each in (self._lights, self._lying, self._lamps):
-            each.begin()
         actors = zip(description.ids.tolist(), description.actors.looks, strict=True)
         self._columns = np.array([self._index_of(description.lives[id], look) for id, look in actors], np.intp)
 
@@ -428,75 +391,37 @@ def _around(recording: Recording, windows: Sequence[tuple[float, float]], sample
         yield from chain.from_iterable(player.batches())
 
 
-class _Measurer:
-    """Measures actors at the times of samples."""
-
-    def __init__(self, ids: Iterable[int], times: Floats, stops: StopPoints) -> None:
-        self.measured = [
-            MeasuredActor(
-                id, np.full(len(times), NO_OTHER, np.int64), {name: np.full(len(times), np.nan) for name in MEASURED_VALUES}
-            )
-            for id in ids
-        ]
-        self._times = times
-        self._followed = [FollowedActor(each.id, stops) for each in self.measured]
-
-    def follow(self, batch: SceneBatch) -> None:
-        """Measure what is shown of followed actors in scenes, which come in order."""
-        samples, rows = self._samples_in(batch.time)
-        for measured, followed in zip(self.measured, self._followed, strict=True):
-            series = followed.series(batch)
+def measure(recording: Recording, ids: Sequence[int], times: Floats) -> list[MeasuredActor]:
+    """Return what is plotted of some actors at the times of samples, in elapsed seconds, ascending."""
+    stops = stop_points(recording.reader)
+    measured = []
+    for id, series in measures_over_time(recording.reader, ids).series.items():
+        values = {name: np.full(len(times), np.nan) for name in MEASURED_VALUES}
+        leader = np.full(len(times), NO_OTHER, np.int64)
+        samples, rows = _samples_at(times, series.time)
+        values["gap"][samples], values["ttc"][samples] = series.distance_headway[rows], series.time_to_collision[rows]
+        leader[samples] = series.leader[rows]
+        measured.append(MeasuredActor(id, leader, values))
+    followed = [FollowedActor(each.id, stops) for each in measured]
+    for batch in Player(recording).batches():
+        samples, rows = _samples_at(times, batch.time)
+        for each, actor in zip(measured, followed, strict=True):
+            shown = actor.series(batch)
             found = {
-                "acceleration": series.acceleration,
-                "throttle": series.pedals[:, 0],
-                "brake": series.pedals[:, 1],
-                "steer": series.controls[:, 2],
-                "light": np.where(series.light == NO_LIGHT, np.nan, series.light_state),
-                "distance": series.light_distance,
+                "acceleration": shown.acceleration,
+                "throttle": shown.pedals[:, 0],
+                "brake": shown.pedals[:, 1],
+                "steer": shown.controls[:, 2],
+                "light": np.where(shown.light == NO_LIGHT, np.nan, shown.light_state),
+                "distance": shown.light_distance,
             }
-            for name, values in found.items():
-                measured.values[name][samples] = values[rows]
-
-    def find_leaders(self, table: MotionTable) -> None:
-        """Measure the distances to leaders and the times to collision in a table of motion."""
-        samples, frames = self._samples_in(table.time[table.core])
-        subjects = np.flatnonzero(np.isin(table.ids, [each.id for each in self.measured]))
-        if not len(frames) or not len(subjects):
-            return
-        found = series_of(table, subjects)
-        frames += table.first
-        for measured in self.measured:
-            for position in np.flatnonzero(table.ids[subjects] == measured.id).tolist():
-                there = ~np.isnan(table.x[subjects[position], frames])  # in this life of the actor
-                at, rows = samples[there], frames[there]
-                measured.values["gap"][at] = found.distance_headway[position, rows]
-                measured.values["ttc"][at] = found.time_to_collision[position, rows]
-                measured.leader[at] = found.leader[position, rows]
-
-    def _samples_in(self, moments: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the samples that are among some moments, ascending, and which of these they are of."""
-        rows = np.searchsorted(moments, self._times - SAME_TIME)
-        samples = np.flatnonzero(rows < len(moments))
-        samples = samples[np.flatnonzero(np.abs(moments[rows[samples]] - self._times[samples]) <= _SAME_TIME)]
-        return samples, rows[samples]
+            for name, values_of in found.items():
+                each.values[name][samples] = values_of[rows]
+    return measured
 
 
-def measure(recording: Recording, ids: Iterable[int], times: Floats) -> list[MeasuredActor]:
-    """Return what is plotted of some actors at the times of samples.
-
-    The times are in elapsed seconds, ascending.
-    """
-    measurer = _Measurer(ids, times, stop_points(recording.reader))
-    motion = MotionCollector(recorded_actors(recording.reader), before=MARGIN, after=MARGIN)
-
-    def observe(batch: Batch) -> None:
-        for table in motion.add(batch):
-            measurer.find_leaders(table)
-
-    player = Player(recording)
-    player.observe(observe)
-    for batch in player.batches():
-        measurer.follow(batch)
-    for table in motion.finish():
-        measurer.find_leaders(table)
-    return measurer.measured
+def _samples_at(times: Floats, moments: Floats) -> tuple[Indices, Indices]:
+    """Return the samples that are of some moments, the last first, and which of these they are of."""
+    samples = np.minimum(np.searchsorted(times, moments - SAME_TIME), len(times) - 1)
+    rows = np.flatnonzero(np.abs(times[samples] - moments) <= _SAME_TIME)[::-1]
+    return samples[rows], rows
