@@ -15,8 +15,7 @@ from carla_recap import ActorKind, Spawn, attributes, create_recording, open_rec
 
 pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
 
-from carla_recap.files.osi import export_osi
-from carla_recap.files.osi.message_types import GROUND_TRUTH, MAP, message_class
+from carla_recap.files.osi import GROUND_TRUTH, MAP, export_osi, message_class
 from tests.samples import SAMPLES
 
 BRICKFIELD = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns" / "Brickfield.xodr"

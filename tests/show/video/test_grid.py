@@ -17,7 +17,7 @@ from carla_recap.cli.export import video as video_command
 from carla_recap.errors import RecapError
 from carla_recap.sensors import SensorRig
 from carla_recap.sensors.decoding import StoredImages
-from carla_recap.show.video.grid import CameraGrid
+from carla_recap.show.video.video import CameraGrid
 from tests.sensed import CRASH
 from tests.show.conftest import PLACE, SENSORS
 from tests.show.conftest import sensed_recording as sensed_recording

@@ -1,20 +1,25 @@
-"""How actors look: bodies, lit lamps, and what traffic lights show, as entities in the frames of the actors."""
+"""How actors look: bodies, lit lamps, and what traffic lights show, as entities in the frames of the actors.
+
+Meshes and models are triangles of one colour each, which Foxglove shades flat.
+"""
 
 from __future__ import annotations
 
 import math
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.formats.mcap.codec import LEN, tag, varint
 from carla_recap.scene import materials, style
 from carla_recap.scene.appearance import Look, look_of_present
 from carla_recap.scene.lamps import state_of_lamps
 from carla_recap.scene.materials import Material
 from carla_recap.scene.models import MODELS
-from carla_recap.show.foxglove import shapes
 from carla_recap.show.foxglove.messages import (
+    Color,
+    CubePrimitive,
     KeyValuePair,
     LinePrimitive,
     MessagePart,
@@ -25,14 +30,108 @@ from carla_recap.show.foxglove.messages import (
     SceneUpdate,
     SpherePrimitive,
     TextPrimitive,
+    TriangleListPrimitive,
     Vector3,
+    numbers,
     timestamp,
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carla_recap.model.lives import ActorLife
     from carla_recap.scene.falls import Fall
+    from carla_recap.scene.materials import Color as Rgb
+    from carla_recap.scene.mesh import Mesh
     from carla_recap.util.arrays import Floats
+
+    Coordinates = NDArray[np.floating]
+    Integers = NDArray[np.integer]
+
+_POSE: Final = Pose(orientation=Quaternion(w=1.0))
+"""The pose of what is where its points are."""
+_CORNERS: Final = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_FACES: Final = np.array(
+    [
+        part
+        for a, b, c, d in ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+        for part in ((a, b, c), (a, c, d))
+    ]
+)
+
+
+def color(rgb: Rgb) -> Color:
+    """Return a colour as Foxglove has it."""
+    red, green, blue = (part / 255 for part in rgb)
+    return Color(r=red, g=green, b=blue, a=1.0)
+
+
+def _triangles(points: Coordinates, corners: Integers, rgb: Rgb) -> bytes:
+    """Return points in m, (n, 3), and the indices of corners, (m, 3), as a `TriangleListPrimitive`, a field of an entity."""
+    start = TriangleListPrimitive(pose=_POSE, color=color(rgb)).SerializeToString()
+    rows = np.empty((len(points), len(_point().data)), np.uint8)
+    rows[:] = np.frombuffer(_point().data, np.uint8)
+    fields = rows.view(_point().dtype)[:, 0]
+    for axis, column in zip("xyz", np.asarray(points, np.float32).T, strict=True):
+        fields[axis] = column
+    packed = corners.astype("<u4").tobytes()
+    indices = tag(TriangleListPrimitive.INDICES_FIELD_NUMBER, LEN) + varint(len(packed)) + packed
+    return MessagePart(start + rows.tobytes() + indices).within(SceneEntity.TRIANGLES_FIELD_NUMBER).data
+
+
+@cache
+def _point() -> MessagePart:
+    return numbers(Point3, "xyz").within(TriangleListPrimitive.POINTS_FIELD_NUMBER)
+
+
+class Surfaces(NamedTuple):
+    """The triangles of a mesh that have one material and colour."""
+
+    material: Material
+    color: Rgb  # red, green and blue
+    vertices: Integers  # the positions of their points among the vertices of the mesh; points that are the same only once
+    corners: Integers  # the indices of the corners among these points, (m, 3)
+
+
+def surfaces(found: Mesh) -> list[Surfaces]:
+    """Return the triangles of a mesh by their materials and colours."""
+    keys = np.column_stack((found.materials, found.painted())).astype(np.uint8).view("<u4")[:, 0][found.triangles[:, 0]]
+    parts = []
+    for key in np.unique(keys).tolist():
+        number, red, green, blue = key.to_bytes(4, "little")
+        used, corners = np.unique(found.triangles[keys == key], return_inverse=True)
+        first, same = _points(found.vertices[used])
+        parts.append(Surfaces(Material(number), (red, green, blue), used[first], same[corners.reshape(-1, 3)]))
+    return parts
+
+
+def _points(vertices: Coordinates) -> tuple[Integers, Integers]:
+    """Return the first vertex at each point, and the point of each vertex, by their indices."""
+    order = np.lexsort(vertices.T[::-1])  # which is faster than np.unique of rows
+    fresh = np.ones(len(order), np.bool_)
+    fresh[1:] = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
+    same = np.empty(len(order), np.intp)
+    same[order] = np.cumsum(fresh) - 1
+    return order[fresh], same
+
+
+def mesh_shape(found: Mesh) -> bytes:
+    """Return a mesh, a primitive for each material and colour."""
+    return b"".join(_triangles(found.vertices[part.vertices], part.corners, part.color) for part in surfaces(found))
+
+
+def boxes(part: Surfaces, vertices: Coordinates) -> list[tuple[Coordinates, Coordinates]]:
+    """Return boxes around connected triangles: the middle and the size of each."""
+    points, labels = np.asarray(vertices, np.float64)[part.vertices], np.arange(len(part.vertices))
+    while True:  # each point gets the least label of its triangles, until nothing changes
+        least = labels[part.corners].min(axis=1)
+        new = labels.copy()
+        np.minimum.at(new, part.corners, least[:, None])
+        if (new == labels).all():
+            break
+        labels = new
+    found = [points[labels == label] for label in np.unique(labels).tolist()]
+    return [((some.min(axis=0) + some.max(axis=0)) / 2, np.ptp(some, axis=0)) for some in found]
 
 
 VEHICLES: Final = "/scene/vehicles"
@@ -100,7 +199,7 @@ def ahead_entity(actor: ActorLife, state: int, text: str) -> bytes:
     look = look_of_present(actor)
     top = 0.0 if look is None else look.center[2] + look.half_extents[2]
     middle = top - _SIGNAL_HEIGHT / 2
-    shade = shapes.color(style.light(state)[1])
+    shade = color(style.light(state)[1])
     angles = np.linspace(0, 2 * np.pi, _RING_POINTS, endpoint=False).tolist()
     ring = LinePrimitive(
         type=LinePrimitive.LINE_LOOP,
@@ -114,7 +213,7 @@ def ahead_entity(actor: ActorLife, state: int, text: str) -> bytes:
         billboard=True,
         font_size=_FONT,
         scale_invariant=True,
-        color=shapes.color((250, 250, 250)),
+        color=color((250, 250, 250)),
         text=text,
     )
     shape = SceneEntity(lines=[ring], texts=[label]).SerializeToString()
@@ -129,40 +228,38 @@ def vertices_of(look: Look) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _shape(look: Look, fall: Fall | None) -> bytes:
-    return b"".join(
-        shapes.triangles(geometry, look.color if part.material is Material.PAINT else part.color)
-        for part, geometry in _geometries(look._replace(color=_ANY_COLOR), fall)
-    )
-
-
-@lru_cache(maxsize=256)
-def _geometries(look: Look, fall: Fall | None) -> list[tuple[shapes.Surfaces, bytes]]:
-    """Return the triangles of an actor by their materials and colours; the colour of its look does not matter."""
     vertices = vertices_of(look)
     if fall is not None:
         vertices = (vertices - look.center) @ fall.matrix.T + fall.offset
-    return shapes.geometries(_surfaces(look.model), vertices)
+    return b"".join(
+        _triangles(vertices[part.vertices], part.corners, look.color if part.material is Material.PAINT else part.color)
+        for part in _surfaces(look.model)
+    )
 
 
 @cache
-def _surfaces(model: int) -> list[shapes.Surfaces]:
-    return shapes.surfaces(MODELS[model].mesh)
+def _surfaces(model: int) -> list[Surfaces]:
+    return surfaces(MODELS[model].mesh)
 
 
 @lru_cache(maxsize=1024)
 def _box(look: Look) -> bytes:
-    return shapes.cube(np.array(look.center), 2 * np.array(look.half_extents), look.color)
+    x, y, z = look.center
+    pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=1.0))
+    x, y, z = (2 * half for half in look.half_extents)
+    shape = CubePrimitive(pose=pose, size=Vector3(x=x, y=y, z=z), color=color(look.color))
+    return MessagePart(shape.SerializeToString()).within(SceneEntity.CUBES_FIELD_NUMBER).data
 
 
 @lru_cache(maxsize=4096)
 def _lit_shape(look: Look, lamps: int) -> bytes:
     vertices = vertices_of(look)
     return b"".join(
-        shapes.box(middle, size + _MARGIN, finish.glow or finish.color)
+        _triangles(middle + _CORNERS * (size + _MARGIN), _FACES, finish.glow or finish.color)  # a cube has outlines
         for part in _surfaces(look.model)
         for finish in [materials.MATERIALS[part.material]]
         if part.material in materials.LAMPS and lamps >> part.material & 1
-        for middle, size in shapes.boxes(part, vertices)
+        for middle, size in boxes(part, vertices)
     )
 
 
@@ -174,5 +271,5 @@ def _signal_shape(look: Look, state: int) -> bytes:
     x, y, z = ((vertices.min(axis=0) + vertices.max(axis=0)) / 2).tolist()
     pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=1.0))
     size = Vector3(x=_SIGNAL, y=_SIGNAL, z=_SIGNAL)
-    sphere = SpherePrimitive(pose=pose, size=size, color=shapes.color(style.light(state)[1]))
+    sphere = SpherePrimitive(pose=pose, size=size, color=color(style.light(state)[1]))
     return MessagePart(sphere.SerializeToString()).within(SceneEntity.SPHERES_FIELD_NUMBER).data

@@ -14,8 +14,7 @@ from carla_recap.replay.recorded_map import corridors_of, map_around
 from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.mesh import Mesh
 from carla_recap.scene.models import INDEX, MODELS
-from carla_recap.show.foxglove import shapes
-from carla_recap.show.foxglove.bodies import TIMESTAMP
+from carla_recap.show.foxglove.bodies import TIMESTAMP, mesh_shape
 from carla_recap.show.foxglove.messages import ALL_DELETED, WORLD, MessagePart, SceneEntity, SceneUpdate, single
 from carla_recap.town.mesh import town_of_map
 
@@ -77,6 +76,6 @@ def _mark(location: Floats) -> Mesh:
 
 
 def _entity(id: str, mesh: Mesh, stamp: Stamps) -> bytes:
-    data = SceneEntity(frame_id=WORLD, id=id).SerializeToString() + shapes.mesh(mesh)
+    data = SceneEntity(frame_id=WORLD, id=id).SerializeToString() + mesh_shape(mesh)
     entity = (MessagePart(data) + TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
     return entity[: -stamp.size] + stamp.tobytes()
