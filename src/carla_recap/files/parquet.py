@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.editing.convert import Progress
-    from carla_recap.model.batch import Batch, Column
+    from carla_recap.model.batch import Batch
     from carla_recap.model.records import RecordType
     from carla_recap.recording import Recording
 
@@ -83,17 +83,14 @@ def _write_records(batches: Iterable[Batch], frame: RecordType, folder: Path) ->
 
 def _pieces(batch: Batch) -> Iterable[Batch]:
     """Yield a batch in parts whose records need little memory."""
-    largest = max((column.size * (1 if _is_fixed(column) else PARSED) for column in batch.columns), default=0)
+    of_frame = (column.size * (1 if column.type is None or column.type.fixed else PARSED) for column in batch.columns)
+    largest = max(of_frame, default=0)
     count = max(_PIECE // max(largest, 1), 1)
     if count >= len(batch):
         yield batch
         return
     for start in range(0, len(batch), count):
         yield batch[start : start + count]
-
-
-def _is_fixed(column: Column) -> bool:
-    return column.type is None or column.type.fixed
 
 
 class _RecordFile:

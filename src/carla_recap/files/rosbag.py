@@ -130,19 +130,15 @@ def export_rosbag(
     with new_folder(destination) as partial:
         bag = partial / folder.name
         export = _Export(source, found, actor, player, opendrive)
-        with _writer(bag) as writer:
+        writer = Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP)
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with writer:
             played = export.write(writer, progress)
         for file in bag.iterdir():
             file.rename(partial / file.name)
         bag.rmdir()
     export.warn()
     return played
-
-
-def _writer(path: Path) -> Writer:
-    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    return writer
 
 
 class _Export:

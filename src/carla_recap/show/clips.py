@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -23,9 +23,7 @@ from carla_recap.util.files import check_folder, new_folder
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from carla_recap.formats.base import Reader
     from carla_recap.queries.incidents import Incident, Incidents
-    from carla_recap.rendering.process import RenderProcess
     from carla_recap.roads import RoadMap
     from carla_recap.show.video.film import Town
 
@@ -103,6 +101,7 @@ def clips(
     if video:
         from carla_recap.show.video import export_video
         from carla_recap.show.video.encoding import check_packages
+        from carla_recap.show.video.film import opened_renderer
 
         check_packages(".mp4")
     if not (0 <= before < math.inf and 0 <= after < math.inf):
@@ -121,7 +120,10 @@ def clips(
         for target in targets:
             check_destination(source, target, force=force)
         cutter, written = ClipCutter(reader), []
-        with new_folder(folder) as room, _renderer(town, reader if video and found else None) as renderer:
+        with new_folder(folder) as room, ExitStack() as stack:
+            renderer = None
+            if video and found:
+                renderer = stack.enter_context(opened_renderer(None, town, Recording(reader))).result()
             for incident, target in zip(progress(found) if progress else found, targets, strict=False):
                 first = cutter.first_frame(max(0.0, incident.start - before))
                 cutter.write(room / target.name, first, min(incident.stop, incident.start + LONGEST) + after)
@@ -140,18 +142,6 @@ def clips(
         return written
     finally:
         reader.close()
-
-
-@contextmanager
-def _renderer(town: Town | None, reader: Reader | None) -> Iterator[RenderProcess | None]:
-    """Yield the renderer of all videos; None without a recording to be filmed."""
-    if reader is None:
-        yield None
-        return
-    from carla_recap.show.video.film import opened_renderer
-
-    with opened_renderer(None, town, Recording(reader)) as opened:
-        yield opened.result()
 
 
 def _choose(answer: Incidents, limit: int, source: str) -> list[Incident]:

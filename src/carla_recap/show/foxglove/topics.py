@@ -136,7 +136,7 @@ class SceneMessages:
         self._stops = {} if stops is None else stops
         self._followed = FollowedActor(follow, self._stops)
         self._town = town
-        self._describer = SceneDescriber()
+        self.describer = SceneDescriber()
         self._entities = actor_entities.ActorEntities(most_bytes)
         self._motion = followed.FollowedMotion()
         self._frames = followed.ViewFrames()
@@ -153,21 +153,13 @@ class SceneMessages:
         """Follow another actor from the next scene on."""
         self._followed = FollowedActor(id, self._stops)
 
-    def recall(self, player: Player) -> None:
-        """Learn what of the time before a player's start is still to be seen then; see `SceneDescriber.recall`."""
-        self._describer.recall(player)
-
-    def recall_uncut(self, uncut: Uncut) -> None:
-        """Learn what of the time before a clip is still to be seen; see `SceneDescriber.recall_uncut`."""
-        self._describer.recall_uncut(uncut)
-
     def of(self, batch: SceneBatch) -> Iterator[TimedMessages]:
         """Yield the messages of scenes, which follow those before."""
         for start in range(0, len(batch), _TOGETHER):
             part = batch if len(batch) <= _TOGETHER else batch[start : start + _TOGETHER]
             times = self._times_of(part)
             series = self._followed.series(part)
-            description = self._describer.describe(part)
+            description = self.describer.describe(part)
             messages = list(self._messages(description, times, series))
             self._last = description, times, series
             self._count += len(part)
@@ -256,9 +248,9 @@ class RecordingMessages:
         self._messages = SceneMessages(header, player.followed, town, stops, _MOST_BYTES)
         self._incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
         if uncut is None:
-            self._messages.recall(player)
+            self._messages.describer.recall(player)
         else:
-            self._messages.recall_uncut(uncut)
+            self._messages.describer.recall_uncut(uncut)
         self._elapsed, self._times = [np.zeros(0)], [np.zeros(0, np.uint64)]
 
     def scenes(self, progress: Progress | None = None) -> Iterator[TimedMessages]:

@@ -392,7 +392,7 @@ class _PlayedRecording:
     def _scenes(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
         player = Player(self._source, start=begin, duration=max(self._stop - begin, 0.0))
         messages = SceneMessages(self._source.reader.header, self._followed, None, self._stops)
-        messages.recall(player)
+        messages.describer.recall(player)
         for batch in player.batches():
             for part in messages.of(batch):
                 messages.rate = rate()

@@ -283,13 +283,11 @@ class LampWriter:
         self._stream = stream
         self._meshes: dict[int, Mesh] = {}
         self._lit: dict[int, int] = {}  # the lamps of each actor in the latest scene, as in `SceneDescription.lamps`
-        self._latest: tuple[Ids, NDArray[np.uint64]] | None = None  # the same as arrays, unless actors were added since
         self._drawn: dict[int, dict[Material, str | None]] = {}  # the entities of the lamps of each actor
 
     def add(self, id: int, mesh: Mesh) -> None:
         """Add an actor, of which nothing is lit."""
         self._meshes[id], self._lit[id], self._drawn[id] = mesh, 0, {}
-        self._latest = None
 
     def remove(self, id: int) -> None:
         """Forget an actor."""
@@ -299,11 +297,7 @@ class LampWriter:
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         lamps, ids = description.lamps, description.ids
-        if self._latest is not None and self._latest[0] is ids:
-            before = self._latest[1]
-        else:
-            before = np.array([self._lit.get(id, 0) for id in ids.tolist()], np.uint64)
-        self._latest = ids, lamps[-1]
+        before = np.array([self._lit.get(id, 0) for id in ids.tolist()], np.uint64)
         rows, columns = np.nonzero(lamps != np.concatenate((before[None], lamps[:-1])))
         for row, id, lit in zip(rows.tolist(), ids[columns].tolist(), lamps[rows, columns].tolist(), strict=True):
             if id in self._meshes:

@@ -50,19 +50,9 @@ def actor(id: int) -> str:
     return f"{ACTORS}/{id}"
 
 
-def incidents(kind: str) -> str:
-    """Return the path of the states of a kind of incident."""
-    return f"{INCIDENTS}/{kind}"
-
-
 def verdict(rule: str) -> str:
     """Return the path of the states of a rule."""
     return f"{VERDICTS}/{rr.escape_entity_path_part(rule)}"
-
-
-def ghost(id: int) -> str:
-    """Return the path of an actor of another recording."""
-    return f"{GHOSTS}/{id}"
 
 
 def lamps(id: int, kind: str) -> str:

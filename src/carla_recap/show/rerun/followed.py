@@ -88,7 +88,8 @@ class CameraAxes:
         axes = axes[known]
         changed = np.flatnonzero((np.diff(axes, axis=0, prepend=self._last) != 0).any(axis=1))
         if len(changed):
-            self._stream.transforms(self._path, times.take(known[changed]), right_handed(axes[changed]))
+            poses = right_handed(axes[changed])
+            self._stream.trajectories([(self._path, 0, len(poses))], times.take(known[changed]), poses)
             self._last = axes[-1:]
 
 

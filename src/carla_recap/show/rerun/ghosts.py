@@ -36,11 +36,8 @@ _RADIUS: Final = 2.5  # points of the screen; of a ghost on the map
 
 def write_ghosts(
     recording: rr.RecordingStream, source: Reader, ghost: Reader, *, start: float, duration: float, follow: int | None = None
-) -> int:
-    """Write the vehicles and walkers of another recording, each from the time on at which its path parts.
-
-    Return the number of ghosts; the one of `follow` has a name.
-    """
+) -> None:
+    """Write the vehicles and walkers of another recording, each from when on its path parts; that of `follow` has a name."""
     found = differences(source, ghost, tolerance=APART, events=False)
     shown = {(row.id_b, row.spawned_at_b): row.first for row in found.actors if row.first is not None}
     shown |= {(actor.id, actor.spawned_at): -math.inf for actor in found.extra}
@@ -48,19 +45,17 @@ def write_ghosts(
     try:
         player = Player(ghost, start=start, duration=duration)
     except RecapError:  # it ends before
-        return 0
+        return
     writer = GhostWriter(Stream(recording), shown, named)
     for batch in player.batches():
         writer.write(batch)
     writer.close()
-    return writer.count
 
 
 class GhostWriter:
     """Writes ghosts: an actor, by its id and its spawn, is shown from some elapsed seconds on; some have names."""
 
     def __init__(self, stream: Stream, shown: dict[tuple[int, float], float], named: set[tuple[int, float]]) -> None:
-        self.count = 0
         self._stream = stream
         self._shown, self._named = shown, named
         self._waiting: dict[int, tuple[float, ActorLife]] = {}
@@ -105,7 +100,7 @@ class GhostWriter:
         """Write what is held back."""
         block = self._poses.take()
         if block is not None:
-            block.write(self._stream, self._drawn, entities.ghost)
+            block.write(self._stream, self._drawn, entities.GHOSTS)
             block.write_points(self._stream, entities.MAP_GHOSTS, self._drawn)
 
     def close(self) -> None:
@@ -119,7 +114,6 @@ class GhostWriter:
         look = description.actors.look_of(actor.id)
         if look is None:
             return
-        self.count += 1
         self._drawn.add(actor.id)
         mesh = model_mesh(look)
         body = mesh3d(mesh, np.full((len(mesh.vertices), 3), COLOR, np.uint8))
@@ -128,11 +122,11 @@ class GhostWriter:
             above = (look.center[0], look.center[1], look.center[2] + look.half_extents[2])
             name = f"B: {style.label_of(actor)}"
             archetypes.append(rr.Points3D([above], colors=[COLOR], radii=[0], labels=[name], show_labels=True))
-        self._stream.log(entities.ghost(actor.id), time, *archetypes)
+        self._stream.log(f"{entities.GHOSTS}/{actor.id}", time, *archetypes)
 
     def _erase(self, id: int, batch: SceneBatch) -> None:
         self._waiting.pop(id, None)
         if id in self._drawn:
             self.flush()
             self._drawn.remove(id)
-            self._stream.clear(entities.ghost(id), TimeColumns.of(batch).point(0))
+            self._stream.clear(f"{entities.GHOSTS}/{id}", TimeColumns.of(batch).point(0))

@@ -120,10 +120,6 @@ class Stream:
         """Remove an entity and all below it."""
         self.log(path, time, rr.Clear(recursive=True))
 
-    def transforms(self, path: str, times: TimeColumns, poses: Floats) -> None:
-        """Log poses, in m and degrees, right-handed, as transforms."""
-        self.trajectories([(path, 0, len(poses))], times, poses)
-
     def trajectories(self, rows: Iterable[tuple[str, int, int]], times: TimeColumns, poses: Floats) -> None:
         """Log poses as the transforms of many entities.
 
@@ -219,12 +215,12 @@ class PoseBlock:
         joined = np.concatenate((nowhere, self.joined)) | np.concatenate((self.joined, nowhere))
         return np.asarray(joined | (self.present & (self.present.sum(axis=0) == 1)))
 
-    def write(self, stream: Stream, shown: Container[int], path: Callable[[int], str] = entities.actor) -> None:
-        """Write the transforms of the actors that are shown, at the paths that a function returns for their ids."""
+    def write(self, stream: Stream, shown: Container[int], parent: str = entities.ACTORS) -> None:
+        """Write the transforms of the actors that are shown, at their ids below a path."""
         actors, rows = np.nonzero(self.written.T)
         ends = np.searchsorted(actors, np.arange(len(self.ids) + 1)).tolist()
         rows_of = (
-            (path(id), start, end)
+            (f"{parent}/{id}", start, end)
             for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True)
             if start < end and id in shown
         )

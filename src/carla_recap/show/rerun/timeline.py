@@ -85,7 +85,7 @@ class EventWriter:
         for row, line in incident_lines(found, clock.seconds):
             self._stream.hold(entities.EVENTS, _log_columns, clock.point(row), line)
         for lane in incident_lanes(found, clock.seconds):
-            self._write_lane(entities.incidents(lane.name), lane, clock)
+            self._write_lane(f"{entities.INCIDENTS}/{lane.name}", lane, clock)
         for lane in verdict_lanes(verdicts, clock.seconds):
             self._write_lane(entities.verdict(lane.name), lane, clock)
 
@@ -98,7 +98,7 @@ class EventWriter:
     def _set_collides(self, collides: bool, time: TimePoint) -> None:
         if collides != self._collides:
             self._collides = collides
-            path, colors = entities.incidents(_COLLISION), [style.COLLISION, NO_COLOR]
+            path, colors = f"{entities.INCIDENTS}/{_COLLISION}", [style.COLLISION, NO_COLOR]
             self._stream.log_static(path, rr.StateConfiguration(values=[_COLLISION, NONE], colors=colors))
             self._stream.hold(path, _state_columns, time, _COLLISION if collides else NONE)
 

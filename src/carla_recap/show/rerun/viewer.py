@@ -63,7 +63,7 @@ class RerunViewer:
         with ExitStack() as stack:
             stack.enter_context(unwind_on_termination())
             self._process = self._start(Path(stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))))
-            stack.callback(self._end)
+            stack.callback(terminate, self._process, _GRACE)
             self._stack = stack.pop_all()
         return self
 
@@ -130,9 +130,6 @@ class RerunViewer:
     def _output(self) -> str:
         return self._log.read_text("utf-8", "replace")
 
-    def _end(self) -> None:
-        terminate(self._process, _GRACE)
-
 
 def view(
     source: Recording | Reader,
@@ -165,23 +162,15 @@ def view(
         )
         try:
             if web:
-                _serve(path, web_port, ready)
+                with RerunViewer("--serve-web", "--web-viewer-port", str(web_port), path) as process:
+                    data = urlencode({"url": f"rerun+http://{HOST}:{process.port(GRPC_PORT)}/proxy", "theme": "dark"})
+                    ready(f"http://{HOST}:{process.port(WEB_PORT)}/?{data}")
+                    process.wait()
             else:
-                _open(path)
+                with RerunViewer(path, quiet=False) as process:
+                    process.wait()
         except (KeyboardInterrupt, BrokenPipeError):  # the latter: the output of `ready` is closed
             return
-
-
-def _open(path: Path) -> None:
-    with RerunViewer(path, quiet=False) as process:
-        process.wait()
-
-
-def _serve(path: Path, port: int, ready: Callable[[str], object]) -> None:
-    with RerunViewer("--serve-web", "--web-viewer-port", str(port), path) as process:
-        data = urlencode({"url": f"rerun+http://{HOST}:{process.port(GRPC_PORT)}/proxy", "theme": "dark"})
-        ready(f"http://{HOST}:{process.port(WEB_PORT)}/?{data}")
-        process.wait()
 
 
 def has_display() -> bool:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Frame, Header
     from carla_recap.model.lives import ActorLife
-    from carla_recap.queries.incidents import Incident, IncidentOptions
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.queries.verdicts import Verdict
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.follow import Follow
@@ -96,9 +96,9 @@ class SceneWriter:
             write_ground(self._stream)
         self._is_ground_placed = town is not None
         self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras)
-        self._describer = SceneDescriber(signs=town is None)
+        self.describer = SceneDescriber(signs=town is None)
         self._lights = TrafficLightWriter(self._stream)
-        self._events = EventWriter(self._stream, live=live)
+        self.events = EventWriter(self._stream, live=live)
         self._followed: FollowedWriter | None = None
         if followed is not None:
             self.follow(followed)
@@ -111,18 +111,14 @@ class SceneWriter:
         models, ground = self._actors.models, not self._has_ground
         self._followed = FollowedWriter(self._stream, id, self._stops, models, ground=ground)
 
-    def recall(self, player: Player) -> None:
-        """Learn what of the time before a player's start is still to be seen then; see `SceneDescriber.recall`."""
-        self._describer.recall(player)
-
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
-        times, description = TimeColumns.of(batch), self._describer.describe(batch)
+        times, description = TimeColumns.of(batch), self.describer.describe(batch)
         if self._followed is None and not self._is_ground_placed:
             self._place_ground(description, times)
         self._actors.write(description, times)
         self._lights.write(description, times)
-        self._events.write(description, times)
+        self.events.write(description, times)
         if self._followed is not None:
             self._followed.write(description, times)
 
@@ -135,10 +131,6 @@ class SceneWriter:
                 point = ground_below(pose[None, LOCATION])[0]
                 self._stream.log(entities.GROUND, times.point(0), rr.Transform3D(translation=point))
                 return
-
-    def write_incidents(self, found: Iterable[Incident], verdicts: Iterable[Verdict], clock: TimeColumns) -> None:
-        """Write incidents and verdicts, given the times of all scenes."""
-        self._events.write_incidents(found, verdicts, clock)
 
     def flush(self) -> None:
         """Write what is held back."""
@@ -217,7 +209,7 @@ def write(
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     measured = _sensor_writer(Stream(stream), player)
     played = PlayedIncidents(player, road_network_of_map(road_map), incidents)
-    writer.recall(player)
+    writer.describer.recall(player)
     clocks: list[TimeColumns] = []
     for batch in player.batches(progress):
         writer.write(batch)
@@ -225,7 +217,7 @@ def write(
         if measured is not None:
             measured.write(clocks[-1])
     clock = TimeColumns.joined([TimeColumns.of_points(()), *clocks])
-    writer.write_incidents(played.found(), verdicts, clock)
+    writer.events.write_incidents(played.found(), verdicts, clock)
     series = played.series()
     if series is not None:
         write_measures(Stream(stream), clock, series)

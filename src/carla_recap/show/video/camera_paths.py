@@ -63,8 +63,8 @@ def subject_of(id: int, scene: Scene, instances: Instances, series: FollowedSeri
         return None
     placed = right_handed(pose)
     rotation = body = rotations(placed)
-    index = int(np.searchsorted(instances.ids, id))
-    if index < len(instances) and instances.ids[index] == id:
+    index = _index(instances, id)
+    if index is not None:
         centre, half = instances.locations[index], instances.half_extents[index].astype(np.float64)
         body = instances.rotations[index].astype(np.float64)
     else:

@@ -257,7 +257,8 @@ class Overlay:
             return image
         left, thick = pad + self._length(72), self._length(7)
         length = width - pad - left
-        for index, (text, value, color) in enumerate(zip(("throttle", "brake", "steer"), controls, _BARS, strict=True)):
+        bars = ("throttle", _THROTTLE), ("brake", _BRAKE), ("steer", _STEER)
+        for index, ((text, color), value) in enumerate(zip(bars, controls, strict=True)):
             middle = head + index * row + row // 2 - self._length(1)
             draw.text((pad, middle), text, _DIM, label, anchor="lm")
             top, bottom = middle - thick // 2, middle - thick // 2 + thick - 1
@@ -265,7 +266,8 @@ class Overlay:
             centre = left + length // 2 if text == "steer" else left
             reach = (length / 2 if text == "steer" else length) * value / _SHADES
             if value:
-                draw.rectangle((*_span(centre, centre + round(reach), top), bottom), color)
+                left_edge, right_edge = sorted((centre, centre + round(reach)))
+                draw.rectangle((left_edge, top, right_edge, bottom), color)
             if text == "steer":
                 draw.rectangle((centre - 1, top - self._length(2), centre, bottom + self._length(2)), _DIM)
         return image
@@ -293,14 +295,6 @@ class Overlay:
         for x in (left, left + pixels - thick):
             draw.rectangle((x, bottom - tick, x + thick - 1, bottom), _WHITE)
         return image
-
-
-_BARS: Final = (_THROTTLE, _BRAKE, _STEER)
-
-
-def _span(first: int, second: int, top: int) -> tuple[int, int, int]:
-    """Return the left edge, the top and the right edge of a bar between two columns of pixels."""
-    return min(first, second), top, max(first, second)
 
 
 def _rounded(readings: Readings) -> tuple[object, int | None, tuple[int, int, int] | None]:
