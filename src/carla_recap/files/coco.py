@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.files.datasets import DatasetPart, LabelledFrame, PartToWrite
+    from carla_recap.files.datasets import DatasetPart, LabelledFrame
 
 _IMAGES: Final = "images"
 _ANNOTATIONS: Final = "annotations"
@@ -34,11 +34,11 @@ class CocoWriter(DatasetWriter):
 
     tables_of_part = (_IMAGES, _ANNOTATIONS)
 
-    def __init__(self, part: PartToWrite) -> None:
-        super().__init__(part)
+    def begin(self) -> None:
+        """Make the folders of the sensors."""
         self._images = self._annotations = 0
-        for spec in part.sensors:
-            (part.folder / _IMAGES / spec.id).mkdir(parents=True)
+        for spec in self._sensors:
+            (self._folder / _IMAGES / spec.id).mkdir(parents=True)
 
     def add(self, frame: LabelledFrame) -> None:
         """Write a moment."""

@@ -119,17 +119,6 @@ class LabelledFrame:
         return found
 
 
-@dataclass(frozen=True)
-class PartToWrite:
-    """A part of a dataset that is being written."""
-
-    recording: Recording
-    sensors: Sequence[SensorSpec]  # that measure
-    name: str  # of the recording in the dataset
-    folder: Path
-    tables: PartTables
-
-
 class DatasetWriter(ABC):
     """Writes the part of a dataset that is of a recording, and puts parts together; a class for each format."""
 
@@ -138,9 +127,12 @@ class DatasetWriter(ABC):
     has_one: ClassVar[bool] = False  # whether it has one camera and one sensor of each kind; else all that the rig has
     tables_of_part: ClassVar[tuple[str, ...]]  # the names of the tables of a part
 
-    def __init__(self, part: PartToWrite) -> None:
-        self._recording, self._sensors, self._name = part.recording, part.sensors, part.name
-        self._folder, self._tables = part.folder, part.tables
+    def __init__(
+        self, recording: Recording, sensors: Sequence[SensorSpec], name: str, folder: Path, tables: PartTables
+    ) -> None:
+        self._recording, self._sensors, self._name = recording, sensors, name
+        self._folder, self._tables = folder, tables
+        self.begin()
 
     @classmethod
     def options(cls) -> set[str]:
@@ -153,6 +145,10 @@ class DatasetWriter(ABC):
         cameras = rig.rgb_cameras(None if camera is None else [camera])
         groups = [cameras, *([spec for spec in rig if spec.kind == kind] for kind in cls.kinds)]
         return [spec for group in groups for spec in (group[:1] if cls.has_one else group)]
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Make the folders of the sensors."""
 
     @abstractmethod
     def add(self, frame: LabelledFrame) -> None:
@@ -192,7 +188,7 @@ def write_part(
     times: list[float] = []
     has_labels = False
     with PartTables(folder, dataset.tables_of_part) as tables:
-        part = dataset(PartToWrite(recording, sensors, name, folder, tables))
+        part = dataset(recording, sensors, name, folder, tables)
         for frame in labelled_frames(recording, sensors, sensing, progress):
             part.add(frame)
             times.append(frame.time)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from carla_recap.files.datasets import DatasetPart, LabelledFrame, PartToWrite
+    from carla_recap.files.datasets import DatasetPart, LabelledFrame
     from carla_recap.files.labels import ImageLabel
     from carla_recap.sensors.rig import SensorSpec
     from carla_recap.sensors.sensing import Sample
@@ -40,13 +40,13 @@ class KittiWriter(DatasetWriter):
     has_one = True
     tables_of_part = (_FRAMES,)
 
-    def __init__(self, part: PartToWrite) -> None:
-        super().__init__(part)
-        self._camera, *lidars = part.sensors
+    def begin(self) -> None:
+        """Make the folders of the sensors."""
+        self._camera, *lidars = self._sensors
         self._lidar = lidars[0] if lidars else None
         for kind, suffix in _SUFFIXES.items():
             if suffix != "bin" or lidars:
-                (part.folder / kind).mkdir()
+                (self._folder / kind).mkdir()
 
     def add(self, frame: LabelledFrame) -> None:
         """Write a moment."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from carla_recap.files.datasets import DatasetPart, LabelledFrame, PartToWrite
+    from carla_recap.files.datasets import DatasetPart, LabelledFrame
     from carla_recap.files.labels import LabelledActor
     from carla_recap.sensors.sensing import Sample
     from carla_recap.util.arrays import Floats
@@ -100,14 +100,14 @@ class NuScenesWriter(DatasetWriter):
     kinds = ("lidar", "radar")
     tables_of_part = TABLES
 
-    def __init__(self, part: PartToWrite) -> None:
-        super().__init__(part)
+    def begin(self) -> None:
+        """Make the folders of the sensors."""
         self._times: list[float] = []
-        self._scene = _token("scene", part.name)
+        self._scene = _token("scene", self._name)
         self._instances: dict[str, _Instance] = {}
         self._waiting: _Keyframe | None = None
-        for spec in part.sensors:
-            (part.folder / _SAMPLES / spec.id).mkdir(parents=True)
+        for spec in self._sensors:
+            (self._folder / _SAMPLES / spec.id).mkdir(parents=True)
 
     def add(self, frame: LabelledFrame) -> None:
         """Write a moment."""

@@ -31,11 +31,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.errors import FormatError, MissingExtra, RecapError, RecapWarning
+from carla_recap.errors import FormatError, MissingExtra, RecapWarning
 from carla_recap.formats.mcap.schema import SECOND, LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
 from carla_recap.model.presence import FAR
+from carla_recap.queries.sensors import check_new
 from carla_recap.replay import Played, Player, quaternions
 from carla_recap.replay.pose import LOCATION, quaternions_of, rotations
 from carla_recap.replay.recorded_map import load_map_of
@@ -155,13 +156,10 @@ class _Export:
         self._shown: set[tuple[str, int]] | None = None
         self._lights: Any = None
         self._connections: dict[str, Any] = {}
-        self._stored = {sensor.id: sensor for sensor in source.sensors}
-        for spec in rig or ():
-            if spec.id in self._stored:
-                raise RecapError(f"{source.location}: has data of a sensor {spec.id!r} already")
+        check_new(source.reader, (spec.id for spec in rig or ()))
         self._messages = None if rig is None else SensorMessages(rig, source.header)
         further = source.reader.further_topics()
-        names = [name for sensor in self._stored.values() for name in sensor.topics]
+        names = [name for sensor in source.sensors for name in sensor.topics]
         self._names = [*names, *((TRANSFORMS,) if names and TRANSFORMS in further else ())]
         self._schemas = {name: further[name].topic.message for name in self._names}
         if self._messages is not None:

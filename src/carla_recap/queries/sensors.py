@@ -11,7 +11,7 @@ from carla_recap.tables import Rows
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from carla_recap.formats.base import FurtherTopic, Reader, TopicMessage
 
@@ -86,6 +86,14 @@ def kind_of(topic: str) -> str:
 def has_images(sensor: RecordedSensor) -> bool:
     """Return whether a recording has the RGB images of a sensor, as JPEGs or as a video."""
     return any(kind_of(topic) in PICTURES for topic in sensor.topics)
+
+
+def check_new(source: Reader, ids: Iterable[str]) -> None:
+    """Check that a recording has no data of sensors."""
+    known = {sensor.id for sensor in sensors(source)}
+    for id in ids:
+        if id in known:
+            raise RecapError(f"{source.location}: has data of a sensor {id!r} already")
 
 
 def _sensor(id: str, spec: dict[str, Any], topics: list[FurtherTopic]) -> RecordedSensor:

@@ -184,13 +184,13 @@ def look_of(
     if kind == ActorKind.VEHICLE or type_id.startswith("vehicle."):
         name = _vehicle_of(type_id, attributes, recorded)
         tag = BASE_TYPES.get(attributes.get("base_type", ""), _TAGS.get(name, Tag.CAR))
-        color = _color_of(attributes) or _CALM[id % len(_CALM)]
+        color = recorded_color(attributes) or _CALM[id % len(_CALM)]
         return _look(name, color, tag, type_id, box)
     if kind == ActorKind.WALKER or type_id.startswith("walker."):
         name = _walker_of(attributes, recorded, id)
         return _look(name, _CLOTHES[id % len(_CLOTHES)], Tag.PEDESTRIANS, type_id, box)
     name, color = _prop_of(type_id, attributes)
-    return _look(name, _color_of(attributes) or color, Tag.STATIC, type_id, box)
+    return _look(name, recorded_color(attributes) or color, Tag.STATIC, type_id, box)
 
 
 def look_of_present(actor: ActorLife, *, signs: bool = False) -> Look | None:
@@ -228,7 +228,7 @@ def _index(name: str) -> int:
     return INDEX.get(name, INDEX["box"])
 
 
-def _color_of(attributes: Mapping[str, str]) -> Color | None:
+def recorded_color(attributes: Mapping[str, str]) -> Color | None:
     """Return the recorded colour; None without a valid one."""
     try:
         red, green, blue = (int(part) for part in attributes.get("color", "").split(","))

@@ -33,19 +33,12 @@ LONGEST: Final = 60.0
 
 
 class IncidentClip(NamedTuple):
-    """The files of an incident.
-
-    Attributes:
-        incident: The incident; its times are those of the source.
-        recording: The clip.
-        rrd: The clip for Rerun's viewer; None if no .rrd files are written.
-        video: The clip as an .mp4; None if no videos are written.
-    """
+    """The files of an incident, whose times are those of the source."""
 
     incident: Incident
-    recording: Path
-    rrd: Path | None
-    video: Path | None = None
+    recording: Path  # the clip
+    rrd: Path | None  # the clip for Rerun's viewer; None if no .rrd files are written
+    video: Path | None = None  # the clip as an .mp4; None if no videos are written
 
 
 def clips(

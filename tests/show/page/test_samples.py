@@ -12,8 +12,8 @@ from carla_recap import open_recording
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.page.samples import BLOCK, measure, sample
-from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data
-from tests.replay.scripts import spawn
+from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data, recording_data
+from tests.replay.scripts import pose, spawn
 from tests.show.page.conftest import CROSSING, record, sampled, unpack, values_at
 
 
@@ -132,3 +132,12 @@ def test_the_leaders_of_one_life_stay_when_its_id_is_used_again(tmp_path: Path) 
     first = (replay.times > 0.1) & (replay.times < 7.4)  # s, of its first life
     assert np.all(measured.leader[first] == 2)
     assert np.isfinite(measured.values["gap"][first]).all()
+
+
+def test_a_colour_that_is_none_is_no_paint(tmp_path: Path) -> None:
+    """As in other viewers, which draw such a vehicle in a colour of theirs."""
+    colors = ("255,0,0", "300,0,0", " 1, 2, 3 ")
+    frames = [{"transforms": [pose(id) for id in range(3)], "spawned": [spawn(id, color=colors[id]) for id in range(3)]}]
+    replay = sampled(record(tmp_path / "x.log", frames))
+    paints = [actor["paint"] for actor in recording_data(replay, [], Packer())["actors"]]
+    assert paints == ["#ff0000", None, "#010203"]

@@ -23,6 +23,7 @@ from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.lives import HERO
 from carla_recap.queries.roads import find_map_of
+from carla_recap.queries.sensors import check_new
 from carla_recap.recording import open_recording
 from carla_recap.replay import Player
 from carla_recap.roads import load_map
@@ -62,19 +63,12 @@ _SCENE: Final = "scene"  # the group of the scene's topics, which share chunks
 
 
 class SensedFile(NamedTuple):
-    """What was written.
-
-    Attributes:
-        frames: The number of frames.
-        seconds: The duration.
-        samples: The number of samples of each sensor, by id.
-        layouts: The files of the layouts that show them, by viewer.
-    """
+    """What was written."""
 
     frames: int
     seconds: float
-    samples: Mapping[str, int]
-    layouts: Mapping[str, Path]
+    samples: Mapping[str, int]  # the number of samples of each sensor, by id
+    layouts: Mapping[str, Path]  # the files of the layouts that show them, by viewer
 
 
 def export_sensed(
@@ -125,7 +119,7 @@ def export_sensed(
             clip(source.location, part, start=sensing.start, duration=sensing.duration)
             location, source = source.location, stack.enter_context(open_recording(part))
             source.reader.location = location  # what errors name
-        _check_new(source, rig)
+        check_new(source.reader, (spec.id for spec in rig))
         moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress, uncut)
         stack.enter_context(closing(moments))
         messages = SensorMessages(rig, source.header, video=video)
@@ -144,14 +138,6 @@ def export_sensed(
         extent = source.reader.extent()
         layouts = write_layouts(destination, messages.topics)
         return SensedFile(extent.frames, extent.duration, file.samples, layouts)
-
-
-def _check_new(source: Recording, rig: SensorRig) -> None:
-    """Check that a recording has no data of the sensors of a rig."""
-    known = {sensor.id for sensor in source.sensors}
-    for spec in rig:
-        if spec.id in known:
-            raise RecapError(f"{source.location}: has data of a sensor {spec.id!r} already")
 
 
 class _SensedWriter:

@@ -58,23 +58,14 @@ _TIMEOUT: Final = 30.0  # s
 
 
 class Report(NamedTuple):
-    """The content of a page.
+    """The content of a page."""
 
-    Attributes:
-        path: The folder or file.
-        incidents: The number of incidents in the list.
-        whole: Whether it replays the whole recording, not only the time around incidents.
-        seconds: The length of the replay in seconds.
-        images: The number of images of cameras.
-        size: The size of all files in bytes.
-    """
-
-    path: Path
-    incidents: int
-    whole: bool
-    seconds: float
-    images: int
-    size: int
+    path: Path  # the folder or file
+    incidents: int  # the number of incidents in the list
+    whole: bool  # whether it replays the whole recording, not only the time around incidents
+    seconds: float  # the length of the replay
+    images: int  # the number of images of cameras
+    size: int  # the size of all files in bytes
 
     def _repr_html_(self) -> str:
         """Return the page, in a frame of a notebook; of a folder, its place."""
@@ -85,18 +76,13 @@ class Report(NamedTuple):
 
 
 class Opening(NamedTuple):
-    """What a page shows first.
+    """What a page shows first."""
 
-    Attributes:
-        time: The moment, in elapsed seconds, shown from a little before; None: that of the last incident, with its actors,
-            or without incidents the beginning.
-        actors: The ids of its actors, of which the first is followed.
-        notes: What the page is about, such as broken rules, a line each.
-    """
-
+    # the moment, in elapsed seconds, shown from a little before; None: that of the last incident, with its actors, or
+    # without incidents the beginning
     time: float | None = None
-    actors: tuple[int, ...] = ()
-    notes: tuple[str, ...] = ()
+    actors: tuple[int, ...] = ()  # the ids of its actors, of which the first is followed
+    notes: tuple[str, ...] = ()  # what the page is about, such as broken rules, a line each
 
 
 class _Reported:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.queries.kinds import KINDS
+from carla_recap.scene.appearance import recorded_color
 from carla_recap.scene.materials import Tag
 from carla_recap.scene.style import color_of, label_of, style_of
 from carla_recap.show.page.base_map import LAYERS
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from carla_recap.model.lives import ActorLife
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.materials import Color
     from carla_recap.show.page.base_map import BaseMap
@@ -52,7 +52,6 @@ MEASURED_UNITS: Final = {
 _MOST: Final = 100.0  # of a value that is plotted, without its sign
 _UNKNOWN: Final = -128.0
 _TURN: Final = 16384 / 360  # units of a yaw per degree
-_PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
 _CYCLES: Final = (Tag.MOTORCYCLE, Tag.BICYCLE, Tag.RIDER)
 _STYLE: Final = re.compile(r'<link rel="stylesheet" href="([^"]+)">\n')
@@ -159,6 +158,7 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
     """Return an actor; `box` is x, y and half extents in m, in its own axes."""
     actor, look = sampled.actor, sampled.look
     (x, y, _), (length, width, _) = look.center, look.half_extents
+    paint = recorded_color(actor.attributes) if actor.kind == "vehicle" else None
     return {
         "id": actor.id,
         "kind": style_of(actor).name,
@@ -167,21 +167,12 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
         "label": shortened(label_of(actor)),
         "hero": actor.is_hero,
         "color": hexadecimal(color_of(actor)),
-        "paint": _paint(actor),
+        "paint": None if paint is None else hexadecimal(paint),
         "shape": _shape(look),
         "box": [number(size) or 0 for size in (x, y, length, width)],
         "since": number(actor.spawned_at),
         "until": None if sampled.until is None else number(sampled.until),
     }
-
-
-def _paint(actor: ActorLife) -> str | None:
-    """Return the recorded colour of a vehicle."""
-    match = _PAINT.fullmatch(actor.spawn.attribute("color") or "") if actor.kind == "vehicle" else None
-    if match is None:
-        return None
-    red, green, blue = (min(255, int(part)) for part in match.groups())
-    return hexadecimal((red, green, blue))
 
 
 def _shape(look: Look) -> str:

@@ -153,8 +153,13 @@ def _within(line: Floats, low: Floats, high: Floats) -> Iterator[Floats]:
 
 
 def write_ground(stream: Stream) -> None:
-    """Write the ground, around the origin of its axes."""
-    stream.log_static(entities.GROUND, _grid(), _plane())
+    """Write the ground up to the horizon, with squares on it, around the origin of its axes."""
+    along = np.arange(-_REACH, _REACH + _SQUARE, _SQUARE)
+    lines = [[(x, -_REACH, 0), (x, _REACH, 0)] for x in along] + [[(-_REACH, y, 0), (_REACH, y, 0)] for y in along]
+    rim = np.column_stack((_HORIZON * circle(_CORNERS), np.full(_CORNERS, -_BELOW_LINES))).astype(np.float32)
+    colors = np.broadcast_to(np.array(MATERIALS[Material.GROUND].color, np.uint8), rim.shape)
+    plane = rr.Mesh3D(vertex_positions=rim, triangle_indices=fan(_CORNERS), vertex_colors=packed(colors))
+    stream.log_static(entities.GROUND, rr.LineStrips3D(lines, colors=[_GROUND_LINE], radii=[_LINE]), plane)
 
 
 def ground_below(points: Floats) -> Floats:
@@ -163,20 +168,6 @@ def ground_below(points: Floats) -> Floats:
     found[:, :2] = np.rint(found[:, :2] / _SQUARE) * _SQUARE
     found[:, 2] -= _UNDER
     return found
-
-
-def _grid() -> rr.LineStrips3D:
-    """Return squares on the ground."""
-    along = np.arange(-_REACH, _REACH + _SQUARE, _SQUARE)
-    lines = [[(x, -_REACH, 0), (x, _REACH, 0)] for x in along] + [[(-_REACH, y, 0), (_REACH, y, 0)] for y in along]
-    return rr.LineStrips3D(lines, colors=[_GROUND_LINE], radii=[_LINE])
-
-
-def _plane() -> rr.Mesh3D:
-    """Return the ground up to the horizon."""
-    rim = np.column_stack((_HORIZON * circle(_CORNERS), np.full(_CORNERS, -_BELOW_LINES))).astype(np.float32)
-    colors = np.broadcast_to(np.array(MATERIALS[Material.GROUND].color, np.uint8), rim.shape)
-    return rr.Mesh3D(vertex_positions=rim, triangle_indices=fan(_CORNERS), vertex_colors=packed(colors))
 
 
 class CorridorWriter:

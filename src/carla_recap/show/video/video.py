@@ -46,19 +46,12 @@ _SAMPLES: Final = 8  # pictures from which a GIF gets its palette
 
 
 class VideoInfo(NamedTuple):
-    """A video that was written.
-
-    Attributes:
-        frames: The number of its frames.
-        seconds: Its duration, in s.
-        size: Its width and height, in pixels.
-        size_on_disk: The size of the file, in bytes.
-    """
+    """A video that was written."""
 
     frames: int
-    seconds: float
-    size: tuple[int, int]
-    size_on_disk: int
+    seconds: float  # the duration
+    size: tuple[int, int]  # the width and the height in pixels
+    size_on_disk: int  # the size of the file in bytes
 
 
 def export_video(
