@@ -96,31 +96,25 @@ class _ShownActor:
         return self._lit[lamps]
 
 
-class _TransformsTemplate:
-    """A message with the serialized transforms of some actors, whose poses differ from message to message."""
+def _transform_messages(
+    topic: str, transforms: Sequence[bytes], rows: Indices, stamps: Stamps, poses: Floats
+) -> TopicMessages:
+    """Return messages with the serialized transforms of the same actors.
 
-    def __init__(self, transforms: list[bytes]) -> None:
-        self.transforms = transforms
-        self._template = MessageTemplate(MessagePart(b"".join(transforms)))
-        self._ends = np.cumsum([len(data) for data in transforms], dtype=np.intp).tolist()
-
-    def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
-        """Return the messages of some scenes.
-
-        Poses are in m and degrees, right-handed, (scenes, actors, 6).
-        """
-        turns = quaternions(poses)
-        changing = np.empty((*turns.shape[:2], len(_CHANGING.data)), np.uint8)
-        changing[:] = np.frombuffer(_CHANGING.data, np.uint8)
-        ends = changing.view(_CHANGING.dtype)[..., 0]
-        # Numbers of less precision, far below what can be seen, make a smaller file.
-        with np.errstate(over="ignore"):
-            fill_pose(ends, poses[..., LOCATION].astype(np.float32), turns.astype(np.float32))
-        ends["timestamp"] = stamps[:, None]
-        messages, _ = self._template.messages(topic, rows)
-        for index, end in enumerate(self._ends):
-            messages.data[:, end - ends.itemsize : end] = changing[:, index]
-        return messages
+    Poses are in m and degrees, right-handed, (scenes, actors, 6).
+    """
+    turns = quaternions(poses)
+    changing = np.empty((*turns.shape[:2], len(_CHANGING.data)), np.uint8)
+    changing[:] = np.frombuffer(_CHANGING.data, np.uint8)
+    ends = changing.view(_CHANGING.dtype)[..., 0]
+    # Numbers of less precision, far below what can be seen, make a smaller file.
+    with np.errstate(over="ignore"):
+        fill_pose(ends, poses[..., LOCATION].astype(np.float32), turns.astype(np.float32))
+    ends["timestamp"] = stamps[:, None]
+    messages, _ = MessageTemplate(MessagePart(b"".join(transforms))).messages(topic, rows)
+    for index, end in enumerate(np.cumsum([len(data) for data in transforms], dtype=np.intp).tolist()):
+        messages.data[:, end - ends.itemsize : end] = changing[:, index]
+    return messages
 
 
 class _TopicEntities:
@@ -157,10 +151,7 @@ class ActorEntities:
         self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._fallen: dict[int, Fall] = {}  # how walkers lie
         self._written = 0  # bytes of bodies
-        self._bodies_shown: bytes | None = None  # which of the shown actors were present in the latest scene
-        self._lit: bytes | None = None  # the lit lamps of the shown actors in the latest scene
         self._before: list[int] = []  # the actors of the latest message of those that have not moved
-        self._templates = {MOVED: _TransformsTemplate([]), STILL: _TransformsTemplate([])}
         self._bodies = {topic: _TopicEntities(topic) for topic in (bodies.VEHICLES, bodies.WALKERS, bodies.OTHERS)}
         self._lamps = _TopicEntities(bodies.LAMPS)
         self._signals = _TopicEntities(bodies.SIGNALS)
@@ -198,10 +189,6 @@ class ActorEntities:
         yield from self._show_lamps(lit, rows, stamps, fresh=batch.fresh and not rows[0])
 
     def _show_bodies(self, present: NDArray[np.bool_], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
-        now = present.tobytes()
-        if now == self._bodies_shown and not fresh:
-            return
-        self._bodies_shown = now
         entities: dict[str, dict[str, bytes]] = {topic: {} for topic in self._bodies}
         for index in np.flatnonzero(present).tolist():
             shown = self._shown[index]
@@ -224,10 +211,7 @@ class ActorEntities:
     def _show_lamps(self, lit: NDArray[np.uint64], rows: Indices, stamps: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
         """Yield the messages of the lamps, whenever one goes on or off."""
         for start in (0, *(np.flatnonzero((lit[1:] != lit[:-1]).any(axis=1)) + 1).tolist()):
-            now, fresh_now = lit[start].tobytes(), fresh and not start
-            if now == self._lit and not fresh_now:
-                continue
-            self._lit = now
+            fresh_now = fresh and not start
             lamps: dict[str, bytes] = {}
             signals: dict[str, bytes] = {}
             for index in np.flatnonzero(lit[start]).tolist():
@@ -243,7 +227,6 @@ class ActorEntities:
             now = fallen.get(shown.actor.id)
             if now != shown.fall:
                 shown.set_fall(now)
-                self._bodies_shown = None
         self._fallen = fallen
 
     def _take_actors(self, description: SceneDescription) -> bool:
@@ -266,7 +249,6 @@ class ActorEntities:
             self._shown.append(shown)
         self._first = np.array([shown.first for shown in self._shown]).reshape(-1, 6)
         self._moved = np.array([shown.moved for shown in self._shown], np.bool_)
-        self._bodies_shown = self._lit = None
         return True
 
     def _find_moves(self, poses: Floats, present: NDArray[np.bool_]) -> Indices:
@@ -282,10 +264,7 @@ class ActorEntities:
     def _transforms(self, topic: str, indices: Indices, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
         """Return messages with the transforms of the same actors."""
         transforms = [self._shown[index].transform for index in indices.tolist()]
-        template = self._templates[topic]
-        if template.transforms != transforms:
-            template = self._templates[topic] = _TransformsTemplate(transforms)
-        return template.messages(topic, rows, stamps, poses)
+        return _transform_messages(topic, transforms, rows, stamps, poses)
 
 
 def _deletions(ids: Sequence[str], stamp: bytes) -> bytes:

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
 _POSE: Final = Pose(orientation=Quaternion(w=1.0))
 """The pose of what is where its points are."""
+_POINT: Final = numbers(Point3, "xyz").within(TriangleListPrimitive.POINTS_FIELD_NUMBER)
 _CORNERS: Final = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES: Final = np.array(
     [
@@ -69,19 +70,14 @@ def color(rgb: Rgb) -> Color:
 def _triangles(points: Coordinates, corners: Integers, rgb: Rgb) -> bytes:
     """Return points in m, (n, 3), and the indices of corners, (m, 3), as a `TriangleListPrimitive`, a field of an entity."""
     start = TriangleListPrimitive(pose=_POSE, color=color(rgb)).SerializeToString()
-    rows = np.empty((len(points), len(_point().data)), np.uint8)
-    rows[:] = np.frombuffer(_point().data, np.uint8)
-    fields = rows.view(_point().dtype)[:, 0]
+    rows = np.empty((len(points), len(_POINT.data)), np.uint8)
+    rows[:] = np.frombuffer(_POINT.data, np.uint8)
+    fields = rows.view(_POINT.dtype)[:, 0]
     for axis, column in zip("xyz", np.asarray(points, np.float32).T, strict=True):
         fields[axis] = column
     packed = corners.astype("<u4").tobytes()
     indices = tag(TriangleListPrimitive.INDICES_FIELD_NUMBER, LEN) + varint(len(packed)) + packed
     return MessagePart(start + rows.tobytes() + indices).within(SceneEntity.TRIANGLES_FIELD_NUMBER).data
-
-
-@cache
-def _point() -> MessagePart:
-    return numbers(Point3, "xyz").within(TriangleListPrimitive.POINTS_FIELD_NUMBER)
 
 
 class Surfaces(NamedTuple):

@@ -143,10 +143,8 @@ class SceneMessages:
         self._lights = followed.LightMessages()
         self._text = EventText()
         self._due = -math.inf  # the elapsed time of the next scene to show
-        self._start = 0.0  # the elapsed time of the first scene
         self._last: tuple[SceneDescription, Times, FollowedSeries] | None = None
         self._shown = False  # whether the last scene is shown
-        self._count = 0
         self.rate = RATE
 
     def follow(self, id: int) -> None:
@@ -162,7 +160,6 @@ class SceneMessages:
             description = self.describer.describe(part)
             messages = list(self._messages(description, times, series))
             self._last = description, times, series
-            self._count += len(part)
             yield TimedMessages(messages, times, part.time)
 
     def end(self) -> TimedMessages:
@@ -180,16 +177,10 @@ class SceneMessages:
             messages.append(single(followed.LIGHTS, row, self._lights.latest))
         return TimedMessages(messages, times, batch.time)
 
-    @property
-    def played(self) -> Played:
-        """How many scenes there were, and the seconds that they span."""
-        return Played(self._count, self._last[0].batch.time[-1].item() - self._start) if self._last else Played(0, 0.0)
-
     def _messages(self, description: SceneDescription, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
         """Yield the messages of scenes, given the time of each in ns since 1970, and the followed actor in them."""
         batch = description.batch
         if self._last is None:
-            self._start = batch.time[0].item()
             yield single(MAP, 0, map_message(self._town, timestamps(times[:1])[0]))
         for line in self._text.lines(batch.scene(0)):
             yield _log_line(line, 0, times)
@@ -270,7 +261,8 @@ class RecordingMessages:
     @property
     def played(self) -> Played:
         """How many scenes there were, and the seconds that they span."""
-        return self._messages.played
+        elapsed = np.concatenate(self._elapsed)
+        return Played(len(elapsed), (elapsed[-1] - elapsed[0]).item() if len(elapsed) else 0.0)
 
 
 def incident_messages(

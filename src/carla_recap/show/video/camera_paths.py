@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
@@ -284,8 +284,7 @@ class Transparency:
         opacity = instances.opacity.copy()
         for index, value in changed:
             opacity[index] = min(opacity[index], value)
-        columns = {name: column for name, column in vars(instances).items() if name != "opacity"}
-        return type(instances)(**columns, opacity=opacity)
+        return replace(instances, opacity=opacity)
 
     def _wanted(self, camera: Camera, instances: Instances, followed: int | None) -> dict[int, float]:
         """Return the opacities of the actors that should be see-through."""
