@@ -181,52 +181,42 @@ class Timeline:
         self.start, self.stop = start, stop
         self._lock = Lock()
         self._now: float = start
-        self._speed = 1.0
-        self._playing = self._ended = False
+        self.speed = 1.0  # the seconds of the recording that are played in a second
+        self.is_playing = self._ended = False
         self._sought = True  # whether the messages of another moment follow
-
-    @property
-    def speed(self) -> float:
-        """The seconds of the recording that are played in a second."""
-        return self._speed
-
-    @property
-    def is_playing(self) -> bool:
-        """Whether time passes."""
-        return self._playing
 
     def pause(self) -> None:
         """Stop the time."""
         with self._lock:
-            self._playing = False
+            self.is_playing = False
 
     def request(self, request: PlaybackControlRequest) -> PlaybackState:
         """Do what a viewer requests, and return the new state."""
         with self._lock:
             seek = request.seek_time
-            self._playing = request.playback_command == PlaybackCommand.Play
-            if seek is None and self._playing and self._now >= self.stop:
+            self.is_playing = request.playback_command == PlaybackCommand.Play
+            if seek is None and self.is_playing and self._now >= self.stop:
                 seek = self.start
             if seek is not None:
                 self._now, self._sought = min(max(seek, self.start), self.stop), True
             self._ended = False
             if 0 < request.playback_speed < math.inf:
-                self._speed = min(request.playback_speed, _FASTEST)
+                self.speed = min(request.playback_speed, _FASTEST)
             return self._state(did_seek=seek is not None, request=request.request_id)
 
     def advance(self, seconds: float) -> tuple[int, bool]:
         """Let real time pass; return the moment, and whether it was sought since the last call, when time does not pass."""
         with self._lock:
-            if self._playing and not self._sought:
-                self._now = min(self._now + seconds * self._speed * SECOND, self.stop)
+            if self.is_playing and not self._sought:
+                self._now = min(self._now + seconds * self.speed * SECOND, self.stop)
             sought, self._sought = self._sought, False
             return int(self._now), sought
 
     def end(self) -> bool:
         """Return whether playback has come to the end, and end it."""
         with self._lock:
-            self._ended = self._playing and self._now >= self.stop and not self._sought
-            self._playing = self._playing and not self._ended
+            self._ended = self.is_playing and self._now >= self.stop and not self._sought
+            self.is_playing = self.is_playing and not self._ended
             return self._ended
 
     def state(self) -> PlaybackState:
@@ -235,8 +225,10 @@ class Timeline:
             return self._state()
 
     def _state(self, *, did_seek: bool = False, request: str | None = None) -> PlaybackState:
-        status = PlaybackStatus.Ended if self._ended else PlaybackStatus.Playing if self._playing else PlaybackStatus.Paused
-        return PlaybackState(status, int(self._now), self._speed, did_seek, request)
+        status = (
+            PlaybackStatus.Ended if self._ended else PlaybackStatus.Playing if self.is_playing else PlaybackStatus.Paused
+        )
+        return PlaybackState(status, int(self._now), self.speed, did_seek, request)
 
 
 class _Requests(ServerListener):

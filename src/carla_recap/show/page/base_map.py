@@ -69,7 +69,6 @@ class BaseMap:
 
     surfaces: list[Outlines] = field(default_factory=list)  # the surfaces of a map, the lowest first
     paths: list[Floats] = field(default_factory=list)  # the paths of vehicles, below the surfaces
-    width: float = PATH_WIDTH  # the width of the paths, in m
 
 
 def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap:

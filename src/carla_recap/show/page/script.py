@@ -17,7 +17,7 @@ from carla_recap.queries.kinds import KINDS
 from carla_recap.scene.appearance import recorded_color
 from carla_recap.scene.materials import Tag
 from carla_recap.scene.style import color_of, label_of, style_of
-from carla_recap.show.page.base_map import LAYERS
+from carla_recap.show.page.base_map import LAYERS, PATH_WIDTH
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -245,7 +245,7 @@ def base_map_data(base_map: BaseMap, packer: Packer) -> dict[str, Any]:
     rings = [ring for group in base_map.surfaces for ring in group.rings]
     names = list(LAYERS)
     return {
-        "width": base_map.width,
+        "width": PATH_WIDTH,
         "paths": _lines(base_map.paths, packer),
         "layers": names,
         "layer": packer.column([names.index(group.layer) for group in base_map.surfaces]),

@@ -45,7 +45,10 @@ def main() -> None:
             signal.signal(getattr(signal, name), signal.SIG_DFL)  # nothing needs to be cleaned up
     warnings.simplefilter("always", RecapWarning)
     warnings.showwarning = lambda message, *_, **__: _say(f"warning: {message}")
-    arguments = _arguments()
+    parser = ArgumentParser(_NAME, description="Opens CARLA's recordings in Rerun's viewer, which runs this.")
+    for argument in ("file", "--application-id", "--recording-id"):
+        parser.add_argument(argument)
+    arguments = parser.parse_known_args()[0]
     try:
         if not _may_be_ours(Path(arguments.file)):
             sys.exit(NOT_OURS)
@@ -55,16 +58,6 @@ def main() -> None:
     except (RecapError, OSError, MemoryError) as error:
         _say(str(error) or "not enough memory")
         os._exit(FAILED)  # without flushing stdout again
-
-
-def _arguments() -> Namespace:
-    parser = ArgumentParser(
-        "rerun-importer-carla-recap", description="Opens CARLA's recordings in Rerun's viewer, which runs this."
-    )
-    parser.add_argument("file")
-    parser.add_argument("--application-id")
-    parser.add_argument("--recording-id")
-    return parser.parse_known_args()[0]
 
 
 def _may_be_ours(path: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -94,7 +95,7 @@ class SensorWriter:
             elif kind in ("semantic", "instance"):
                 labels = data if data.ndim == 2 else np.ascontiguousarray(data[..., :2]).view("<u2")[..., 0]
                 self._begin(path, (kind, labels.shape, labels.dtype.itemsize), _segmentation)
-                self._stream.hold(path, _labels, time, labels, labels.nbytes)
+                self._stream.hold(path, _labels, time, labels.tobytes(), labels.nbytes)
             else:
                 encoded = png(data) if data.dtype == np.uint16 else jpeg(_picture(data))
                 self._begin(path, "depth" if data.dtype == np.uint16 else "jpeg", _still_or_video)
@@ -152,20 +153,15 @@ def _transforms(poses: Sequence[SensorPose]) -> Columns:
     )
 
 
-def _stills(images: Sequence[bytes]) -> Columns:
-    return rr.EncodedImage.columns(blob=[np.frombuffer(image, np.uint8) for image in images])
+def _blobs(archetype: Any, component: str, blobs: Sequence[bytes]) -> Columns:
+    columns: Columns = archetype.columns(**{component: [np.frombuffer(blob, np.uint8) for blob in blobs]})
+    return columns
 
 
-def _packets(packets: Sequence[bytes]) -> Columns:
-    return rr.VideoStream.columns(sample=[np.frombuffer(packet, np.uint8) for packet in packets])
-
-
-def _depths(images: Sequence[bytes]) -> Columns:
-    return rr.EncodedDepthImage.columns(blob=[np.frombuffer(image, np.uint8) for image in images])
-
-
-def _labels(images: Sequence[NDArray[Any]]) -> Columns:
-    return rr.SegmentationImage.columns(buffer=[np.frombuffer(image.tobytes(), np.uint8) for image in images])
+_stills: Final = partial(_blobs, rr.EncodedImage, "blob")
+_packets: Final = partial(_blobs, rr.VideoStream, "sample")
+_depths: Final = partial(_blobs, rr.EncodedDepthImage, "blob")
+_labels: Final = partial(_blobs, rr.SegmentationImage, "buffer")
 
 
 def _clouds(clouds: Sequence[tuple[NDArray[np.float32], NDArray[np.uint8]]]) -> Columns:
