@@ -104,25 +104,10 @@ def picture(
     form: str = "PNG",
     contacts: RecordedContacts | None = None,
 ) -> PictureFile:
-    """Return a picture of a recording at a time; for the other arguments see `snapshot`.
+    """Return a picture of a recording at a time, a PNG or JPEG; for the other arguments and errors, see `snapshot`.
 
-    Args:
-        source: The recording.
-        at: The time.
-        follow: The actor.
-        view: The view.
-        town: The town.
-        size: Width and height.
-        overlay: Write on it.
-        incidents: Which incidents are shown.
-        renderer: What draws it, for many pictures of one town; None: one is made and closed.
-        form: "PNG" or "JPEG".
-        contacts: The contacts of the recording, for many pictures of it, so that they are read once.
-
-    Raises:
-        RecapError: There is no such time, actor or camera, or nothing can be drawn here.
-        FormatError: The file contradicts its format.
-        MissingExtra: An optional dependency is not installed.
+    Of many pictures of one town, what draws them is given as the renderer; else one is made and closed. Of many pictures of
+    a recording, its contacts are given, so that they are read once.
     """
     Image = load_pillow("a picture", "cameras")  # noqa: N806
     follow = followed_of(source, view, follow)
