@@ -290,13 +290,7 @@ class MessageFile(ChunkedFile):
     """Writes messages of topics, which are all declared at the start, after metadata by their names; see `AtomicFile`."""
 
     def __init__(
-        self,
-        path: Path | str,
-        topics: Sequence[Topic],
-        about: Mapping[str, dict[str, str]],
-        *,
-        level: int,
-        force: bool = True,
+        self, path: Path | str, topics: Sequence[Topic], about: Mapping[str, dict[str, str]], *, level: int, force: bool
     ) -> None:
         super().__init__(path, topics, level=level, force=force)
         self._about = about
