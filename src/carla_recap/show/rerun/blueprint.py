@@ -140,8 +140,9 @@ def live_blueprint(
 
 def _overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dict[View, rrb.Spatial3DView]:
     """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
-    centre, radius = _extent(locations)
-    x, y, z = centre
+    ends = np.stack((locations.min(axis=0), locations.max(axis=0))) if len(locations) else np.zeros((2, 3))
+    x, y, z = centre = tuple(ends.mean(axis=0).tolist())
+    radius = max(_MIN_RADIUS, float(np.linalg.norm(ends[1] - ends[0])) / 2)
     return {
         "chase": _view(
             "Overview", entities.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1), hidden=hidden
@@ -214,12 +215,3 @@ def _view(
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up, speed=_EYE_SPEED),
         overrides={entities.trail(ego): trail} if ego is not None else None,
     )
-
-
-def _extent(locations: NDArray[np.float64]) -> tuple[Triple, float]:
-    """Return the centre and the radius of some locations, in m, right-handed."""
-    if not len(locations):
-        return (0.0, 0.0, 0.0), _MIN_RADIUS
-    low, high = locations.min(axis=0), locations.max(axis=0)
-    x, y, z = ((low + high) / 2).tolist()
-    return (x, y, z), max(_MIN_RADIUS, float(np.linalg.norm(high - low)) / 2)

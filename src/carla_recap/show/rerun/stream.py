@@ -126,7 +126,7 @@ class Stream:
         Each has a path, a first row and the one after its last; poses are in m and degrees, right-handed.
         """
         single = poses.astype(np.float32)
-        indexes = _indexes(times)
+        indexes = {FRAME: pa.array(times.frame), SIM_TIME: pa.array(times.elapsed).view(pa.duration("ns"))}
         columns = {
             _TRANSLATION: rr.components.Translation3DBatch(single[:, LOCATION]).as_arrow_array(),
             _ROTATION: rr.components.RotationQuatBatch(quaternions(single)).as_arrow_array(),
@@ -172,10 +172,6 @@ class Stream:
         (path, columns), rows = entity, self._held.pop(entity)
         self._size -= self._sizes.pop(entity)
         self.columns(path, TimeColumns.of_points(time for time, _ in rows), columns([value for _, value in rows]))
-
-
-def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
-    return {FRAME: pa.array(times.frame), SIM_TIME: pa.array(times.elapsed).view(pa.duration("ns"))}
 
 
 def screen_radii(points: float) -> list[float]:
