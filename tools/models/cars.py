@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from math import sqrt
@@ -222,17 +223,7 @@ def _cabin(solid: Solid, shape: CarShape) -> None:
 
 
 def wheel(solid: Solid, x: float, y: float, radius: float, width: float, *, sides: int = 10, rim: Material = M.RIM) -> None:
-    """Add a wheel of the left side, with spokes.
-
-    Args:
-        solid: The solid.
-        x: The axle.
-        y: The outer side.
-        radius: The radius.
-        width: The width of the tyre.
-        sides: The number of its sides.
-        rim: The material of the spokes.
-    """
+    """Add a wheel of the left side, with spokes, given its axle (x) and its outer side (y)."""
     profile = ((radius, -width), (radius, -width * 0.12), (radius * 0.68, 0.0), (0.0, -0.02))
 
     def material(i: int, j: int) -> Material:
@@ -244,22 +235,9 @@ def wheel(solid: Solid, x: float, y: float, radius: float, width: float, *, side
 def axle(
     solid: Solid, x: float, y: float, radius: float, width: float, *, steered: bool = False, rim: Material = M.RIM
 ) -> None:
-    """Add the wheels of an axle.
-
-    Args:
-        solid: The solid.
-        x: The axle.
-        y: The outer side of the left wheel.
-        radius: The radius of the wheels.
-        width: The width of the tyres.
-        steered: Whether they are steered.
-        rim: The material of the rims.
-    """
+    """Add the wheels of an axle at x, given the outer side of the left wheel (y)."""
     left = Solid()
-    if steered:
-        with left.steered(x, y - width / 2):
-            wheel(left, x, y, radius, width, rim=rim)
-    else:
+    with left.steered(x, y - width / 2) if steered else nullcontext():
         wheel(left, x, y, radius, width, rim=rim)
     solid.add_both(left)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 from math import cos, pi, radians, sin
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -203,9 +204,12 @@ class Solid:
         ]
         self.loft(np.array(center) + np.array(rings), material, caps=caps)
 
-    def steered(self, x: float, y: float) -> _Steered:
-        """Return a context: what is added in it belongs to a wheel that is steered about a vertical axis."""
-        return _Steered(self, (x, y))
+    @contextmanager
+    def steered(self, x: float, y: float) -> Iterator[None]:
+        """Let what is added within this context belong to a wheel that is steered about a vertical axis."""
+        self._pivot = x, y
+        yield
+        self._pivot = None
 
     def add(self, other: Solid, offset: Point = (0.0, 0.0, 0.0), *, yaw: float = 0.0) -> None:
         """Add another solid, turned to the left by an angle in degrees and then moved."""
@@ -255,20 +259,6 @@ class Solid:
     def _new_body(self) -> int:
         self._bodies += 1
         return self._bodies
-
-
-class _Steered:
-    """Marks what is added to a solid as a steered wheel."""
-
-    def __init__(self, solid: Solid, pivot: tuple[float, float]) -> None:
-        self._solid = solid
-        self._pivot = pivot
-
-    def __enter__(self) -> None:
-        self._solid._pivot = self._pivot
-
-    def __exit__(self, *exception: object) -> None:
-        self._solid._pivot = None
 
 
 def model(add: Callable[[Solid], None], name: str | None = None) -> Callable[[Solid], None]:
