@@ -65,15 +65,12 @@ FRAME: Final = np.dtype(
 )
 """The uniform block of an image, in std140; matrices column by column."""
 
-_LIGHT: Final = """
+_VERTEX: Final = """
 vec3 linear(vec3 color) { return color * color * (color * 0.3 + 0.7); }
 vec3 encoded(vec3 light) {
     light = light * (1.0 + light * 0.12) / (1.0 + light * 0.42);   // bright surfaces keep their colours
     return pow(light, vec3(1.0 / 2.2));
 }
-"""
-
-_VERTEX: Final = """
 layout(std140) uniform Materials {
     vec4 finish[80];      // colour, gloss
     vec4 glow[80];        // the colour of the lit lamp; w: depth layer
@@ -204,6 +201,10 @@ void main() {
 """
 
 _FRAGMENT: Final = """
+vec3 encoded_depth(float depth) {
+    float d = clamp(depth / 1000.0, 0.0, 1.0) * 16777215.0;
+    return vec3(floor(d / 65536.0), mod(floor(d / 256.0), 256.0), mod(floor(d), 256.0)) / 255.0;
+}
 #ifdef RGB
 in vec3 v_color;
 #ifdef GRAIN
@@ -261,13 +262,6 @@ void main() {
 }
 """
 
-_ENCODED_DEPTH: Final = """
-vec3 encoded_depth(float depth) {
-    float d = clamp(depth / 1000.0, 0.0, 1.0) * 16777215.0;
-    return vec3(floor(d / 65536.0), mod(floor(d / 256.0), 256.0), mod(floor(d), 256.0)) / 255.0;
-}
-"""
-
 _SKY_VERTEX: Final = """
 in vec2 corner;
 out vec2 v_corner;
@@ -308,7 +302,7 @@ void main() {
 }
 """
 
-_SKY_MAP_VERTEX: Final = """
+_CORNER_VERTEX: Final = """
 in vec2 corner;
 out vec2 v_corner;
 void main() {
@@ -401,15 +395,6 @@ _COVER_FRAGMENT: Final = """
 void main() { o_rgb = vec4(0.0, 0.0, 0.0, 1.0); }
 """
 
-_COVER_VERTEX: Final = """
-in vec2 corner;
-out vec2 v_place;  // from 0 to 1
-void main() {
-    v_place = corner * 0.5 + 0.5;
-    gl_Position = vec4(corner, 0.0, 1.0);
-}
-"""
-
 _HALO_VERTEX: Final = """
 in vec2 corner;
 in vec4 center;
@@ -434,9 +419,10 @@ void main() {
 """
 
 _REDUCE_FRAGMENT: Final = """
-in vec2 v_place;
+in vec2 v_corner;
 uniform sampler2D image;
 void main() {
+    vec2 place = v_corner * 0.5 + 0.5;
     vec2 pixel = vec2(COLUMNS, ROWS) / vec2(textureSize(image, 0));
     vec3 sum = vec3(0.0);
     SUM
@@ -479,7 +465,7 @@ _GRAINS: Final = {
 def reducing(columns: int, rows: int) -> tuple[str, ...]:
     """Return the options of shaders that average rectangles of pixels of an RGB image; see `sources`."""
     places = [(x, y) for y in _offsets(rows) for x in _offsets(columns)]
-    terms = " ".join(f"sum += texture(image, v_place + pixel * vec2({x}, {y})).rgb;" for x, y in places)
+    terms = " ".join(f"sum += texture(image, place + pixel * vec2({x}, {y})).rgb;" for x, y in places)
     return f"SUM {terms}", f"COLUMNS {columns}.0", f"ROWS {rows}.0", f"READS {len(places)}.0"
 
 
@@ -512,14 +498,14 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
         options: INSTANCED, GRAIN, TRANSLUCENT, or those of `reducing`.
     """
     vertex, fragment = {
-        "surface": (_LIGHT + _VERTEX, _ENCODED_DEPTH + _FRAGMENT),
+        "surface": (_VERTEX, _FRAGMENT),
         "sky": (_SKY_VERTEX, _SKY_FRAGMENT),
-        "sky_map": (_SKY_MAP_VERTEX, _SKY_MAP_FRAGMENT),
+        "sky_map": (_CORNER_VERTEX, _SKY_MAP_FRAGMENT),
         "shadow": (_SHADOW_VERTEX, _SHADOW_FRAGMENT),
         "blob": (_BLOB_VERTEX, _BLOB_FRAGMENT),
-        "cover": (_COVER_VERTEX, _COVER_FRAGMENT),
+        "cover": (_CORNER_VERTEX, _COVER_FRAGMENT),
         "halo": (_HALO_VERTEX, _HALO_FRAGMENT),
-        "reduce": (_COVER_VERTEX, _REDUCE_FRAGMENT),
+        "reduce": (_CORNER_VERTEX, _REDUCE_FRAGMENT),
     }[name]
     defined = [kind.name for kind in kinds] + list(options)
     if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:

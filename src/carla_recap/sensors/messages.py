@@ -264,9 +264,6 @@ class _Maker:
             timestamp=stamp, frame_id=self._id, width=width, height=height, encoding=encoding, step=step, data=data
         )
 
-    def _points(self, points: NDArray[Any], stamp: Stamp, time: float) -> Message:
-        return self._cloud(points, stamp)
-
     def _detections(self, found: NDArray[Any], stamp: Stamp, time: float) -> Message:
         names = "x", "y", "z", *(found.dtype.names or ())
         points = np.zeros(len(found), [(name, "<f4") for name in names])
@@ -275,9 +272,9 @@ class _Maker:
         level = found["depth"] * np.cos(found["altitude"])
         points["x"], points["y"] = level * np.cos(found["azimuth"]), level * np.sin(found["azimuth"])
         points["z"] = found["depth"] * np.sin(found["altitude"])
-        return self._cloud(points, stamp)
+        return self._points(points, stamp, time)
 
-    def _cloud(self, points: NDArray[Any], stamp: Stamp) -> Message:
+    def _points(self, points: NDArray[Any], stamp: Stamp, time: float) -> Message:
         """Return a message of points; their coordinates are rounded to 1/256 m, by which they compress well."""
         rounded, fields = points.copy(), []
         for name, (dtype, offset, *_) in (points.dtype.fields or {}).items():
