@@ -36,11 +36,7 @@ _IN_FRONT: Final = 0.12  # m, of the lamp
 
 
 class ImageBuffers:
-    """The buffers of images of a size.
-
-    Attributes:
-        size: Width and height.
-    """
+    """The buffers of images of a size: width and height."""
 
     def __init__(self, context: Any, width: int, height: int) -> None:
         self._context = context

@@ -27,18 +27,9 @@ _PERIOD: Final = 64.0  # m after which the grain of surfaces repeats
 
 
 class CameraView:
-    """A camera and the light at a moment.
+    """A camera and the light at a moment, given the origin of the ground in m, and the camera of the previous image.
 
-    Args:
-        camera: The camera.
-        sky: The weather.
-        ground: The origin of the ground, in m.
-        before: The camera of the previous image; None: it has not moved.
-
-    Attributes:
-        camera: The camera.
-        sky: The weather.
-        shadow_length: The length of shadows, as a part of the height of what they are of; 0 where there are none.
+    `shadow_length` is the length of shadows, as a part of the height of what they are of; 0 where there are none.
     """
 
     def __init__(self, camera: Camera, sky: Sky, ground: NDArray[np.float64], before: Camera | None) -> None:

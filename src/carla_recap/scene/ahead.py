@@ -74,11 +74,7 @@ class LightAheadFinder:
     def find(self, batch: SceneBatch, poses: Floats) -> tuple[Indices, Floats]:
         """Return the position of the light ahead in `batch.light_states`, and how far ahead it is in m, for each scene.
 
-        Without one, these are `NO_LIGHT` and NaN.
-
-        Args:
-            batch: The scenes.
-            poses: The poses of the actor, in m and degrees, right-handed, (scenes, 6); NaN where it has none.
+        Without one, these are `NO_LIGHT` and NaN. The poses are in m and degrees, right-handed, (scenes, 6).
         """
         ids = batch.light_states["id"][0]
         if ids.tobytes() != self._ids:

@@ -199,9 +199,7 @@ class PlayedIncidents:
 def incident_lines(found: Iterable[Incident], elapsed: NDArray[np.float64]) -> Iterator[tuple[int, Line]]:
     """Yield the lines of incidents, but not of collisions, which are among the events, each with its scene.
 
-    Args:
-        found: The incidents; those that began before the first scene are left out.
-        elapsed: The moments of all scenes, in elapsed seconds, of which at least one is needed.
+    Those that began before the first scene are left out; `elapsed` are the moments of all scenes, at least one.
     """
     seconds = np.maximum.accumulate(elapsed)
     for incident in found:

@@ -247,12 +247,9 @@ class CalmPath:
         self._is_known = False  # in the latest scene
 
     def add(self, time: Floats, poses: Floats, speeds: Floats | None = None) -> _PathPart:
-        """Return the path in the next scenes.
+        """Return the path in the next scenes, given poses in cm and degrees, left-handed, NaN where there are none.
 
-        Args:
-            time: The moments, in s, (scenes,).
-            poses: The poses, in cm and degrees, left-handed, (scenes, 6); NaN where there is none.
-            speeds: The recorded speeds, in m/s, by which jumps are told from fast drives, (scenes,); None: none are.
+        Recorded speeds, in m/s, tell jumps from fast drives.
         """
         known = np.asarray(np.isfinite(poses).all(axis=1))
         rows = np.flatnonzero(known)

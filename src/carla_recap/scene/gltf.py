@@ -205,11 +205,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], memoryview]:
 
 
 def _at(values: Sequence[Any], number: int) -> Any:
-    """Return one of the values of a list in a document.
-
-    Raises:
-        IndexError: There is none of this number, which may be negative.
-    """
+    """Return one of the values of a list in a document, whose number may be negative, which is an error, too."""
     if number < 0:
         raise IndexError(number)
     return values[number]

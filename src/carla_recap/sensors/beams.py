@@ -70,11 +70,7 @@ class LidarBeams(_Rays):
         self._sector = radians(numbers("horizontal_fov"))
 
     def rays(self, seconds: float) -> Floats:
-        """Turn, and return the directions of the rays in the axes of the lidar, channel by channel.
-
-        Returns:
-            The directions, (n, 3), of length 1; each channel has n / `channels` of them.
-        """
+        """Turn, and return the directions of the rays in the axes of the lidar, equally many of each channel, (n, 3)."""
         count = self._count(seconds) // self.channels
         turn = tau * self._numbers("rotation_frequency") * seconds
         begin, self.angle = self.angle, (self.angle + turn) % tau
@@ -142,17 +138,10 @@ class RadarBeams(_Rays):
 
 
 def detections(hits: SurfaceHits, rays: Floats, axes: Floats, velocities: Floats) -> Floats:
-    """Return what a radar measures of hits.
+    """Return what a radar measures of hits: velocity away in m/s, azimuth and altitude in radians, depth in m, (hits, 4).
 
-    Args:
-        hits: The hits.
-        rays: The directions of all rays in the axes of the radar, (n, 3).
-        axes: The axes of the radar in the world, (3, 3): its columns point forward, to the right and upwards.
-        velocities: The velocities of what was hit relative to the radar, in the axes of the world, (hits, 3) in m/s.
-
-    Returns:
-        For each hit, (hits, 4): velocity in m/s, positive if the target moves away; azimuth and altitude in radians; and
-        depth in m.
+    Rays are the directions of all, in the axes of the radar, whose columns point forward, to the right and upwards in the
+    world; velocities, (hits, 3) in m/s, are relative to the radar, in the axes of the world.
     """
     directions = rays[hits.ray] @ axes.T
     away = (velocities * directions).sum(axis=1)

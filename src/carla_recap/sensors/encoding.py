@@ -31,12 +31,9 @@ _LIMITED_RANGE: Final = 1
 
 
 def bgrx(image: Image) -> Image:
-    """Return an image with the bytes blue, green, red and any, (height, width, 4).
+    """Return an image of red, green, blue, (height, width, 3) of uint8, with the bytes blue, green, red and any.
 
     An image out of `sense` is a view of such an array, which is returned without a copy.
-
-    Args:
-        image: The image: red, green, blue, (height, width, 3) of uint8.
     """
     base, backwards = image.base, (4 * image.shape[1], 4, -1)
     if isinstance(base, np.ndarray) and base.shape == (*image.shape[:2], 4) and image.strides == backwards:

@@ -24,13 +24,7 @@ def generator(seed: float, purpose: str = "") -> np.random.Generator:
 
 
 class Noise:
-    """The error of the values of a sensor.
-
-    Args:
-        numbers: The attributes of the sensor, of which `noise_seed` is the seed.
-        bias: The attributes with the constant errors; none for no constant error.
-        deviation: The attributes with the standard deviations.
-    """
+    """The error of the values of a sensor, given the attributes with constant errors and with standard deviations."""
 
     def __init__(self, numbers: Numbers, bias: Sequence[str], deviation: Sequence[str]) -> None:
         self._bias = np.array([numbers(key) for key in bias])

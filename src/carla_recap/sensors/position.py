@@ -82,13 +82,9 @@ class Gnss:
 
 
 def acceleration_at(offset: Floats, acceleration: Floats, rotation: Floats, change: Floats) -> Floats:
-    """Return the acceleration of a point of a rigid body in m/s², (3,), all in the axes of the world, as (3,).
+    """Return the acceleration of a point of a rigid body in m/s², (3,), given its offset in m from a point of known one.
 
-    Args:
-        offset: Where the point is, from another point of the body, in m.
-        acceleration: The acceleration of that other point in m/s².
-        rotation: The angular velocity of the body in degrees/s.
-        change: The angular acceleration in degrees/s².
+    Rotation and its change are in degrees/s and degrees/s²; all in the axes of the world.
     """
     turning = np.radians(rotation)
     found: Floats = acceleration + np.cross(np.radians(change), offset) + np.cross(turning, np.cross(turning, offset))
@@ -105,11 +101,8 @@ class Imu:
     def measure(self, axes: Floats, yaw: float, acceleration: Floats, rotation: Floats) -> tuple[Floats, Floats, float]:
         """Return the acceleration with gravity in m/s², (3,), the rotation in rad/s, (3,), and the radians from north.
 
-        Args:
-            axes: The axes of the sensor in the world, (3, 3): its columns point forward, to the right and upwards.
-            yaw: Its yaw in degrees.
-            acceleration: Its acceleration in m/s², (3,), in the axes of the world.
-            rotation: Its angular velocity in degrees/s, (3,), in the axes of the world.
+        The columns of the axes point forward, to the right and upwards in the world, in whose axes the acceleration in m/s²
+        and the angular velocity in degrees/s are; the yaw is in degrees.
         """
         felt = self._acceleration_noise.add_to((acceleration + UPWARDS) @ axes)
         turning = self._rotation_noise.add_to(np.radians(rotation) @ axes)
