@@ -132,6 +132,15 @@ def _serialized(path):
 # --- the scene -----------------------------------------------------------------------------------------------------
 
 
+def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
+    (time,) = [
+        time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"
+    ]
+    assert time == pytest.approx(27.0)
+    assert f"actor {GONE}" in bodies(crossing, 26.9)
+    assert f"actor {GONE}" not in bodies(crossing, 27.0)
+
+
 @pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
 def test_seeking_shows_the_same_as_playing(crossing, time):
     for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/scene/ahead"):
