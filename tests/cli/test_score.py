@@ -10,12 +10,17 @@ from xml.etree import ElementTree
 import pytest
 
 from carla_recap import open_recording, score
-from carla_recap.cli.score import _lines
+from carla_recap.cli.score import FORMULAS, _lines
+from carla_recap.queries import score as scoring
 from tests.cli.command import answer, error, on_terminal, run, wrote
 from tests.samples import SAMPLES
 
 CRASH, AVOIDED, ROUTES = (SAMPLES / name for name in ("crash.mcap", "avoided.mcap", "routes.xml"))
 BY_ROUTE = ("--route", ROUTES, "--route-id", "1")
+
+
+def test_the_formulas_of_the_option_are_all() -> None:
+    assert FORMULAS == scoring.FORMULAS
 
 
 def test_without_a_route_there_is_no_completion() -> None:

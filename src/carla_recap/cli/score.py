@@ -6,14 +6,14 @@ import shlex
 import sys
 from functools import partial
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import TYPE_CHECKING, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import SourcesRequest
 from carla_recap.cli.output import end, fail, print_json, print_pieces, wrote
-from carla_recap.cli.parameter_types import FOLLOW, PERCENT
+from carla_recap.cli.parameter_types import FOLLOW, PERCENT, Parsed
 from carla_recap.output.terminal import TableColumn, print_table
 from carla_recap.util.text import visible
 
@@ -25,40 +25,19 @@ if TYPE_CHECKING:
     from carla_recap.queries.score import Formula, Score
 
 _SUITE: Final = "carla-recap score"
+FORMULAS: Final = ("1.0", "2.0", "2.1")
+"""The formulas of `carla_recap.queries.score`, which takes long to import."""
 
 
-class _Formula(click.ParamType[Any]):
-    """A formula; the table of infractions, and numpy with it, is imported when one is given or the help is asked for."""
+def _limit(text: str) -> tuple[str, int]:
+    """Return a kind of infraction, and how many of it are allowed."""
+    from carla_recap.queries.score import INFRACTIONS
 
-    name = "formula"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return self._choice().convert(value, param, ctx)
-
-    def get_metavar(self, *about: Any, **more: Any) -> str | None:
-        return self._choice().get_metavar(*about, **more)
-
-    def _choice(self) -> click.Choice[str]:
-        from carla_recap.queries.score import FORMULAS
-
-        return click.Choice(FORMULAS)
-
-
-class _Limit(click.ParamType[Any]):
-    """A kind of infraction, and how many of it are allowed."""
-
-    name = "limit"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        from carla_recap.queries.score import INFRACTIONS
-
-        kind, _, number = value.partition("=")
-        if kind not in INFRACTIONS or not (number.isascii() and number.isdecimal() and len(number) < 10):
-            kinds = ", ".join(INFRACTIONS)
-            self.fail(
-                f"{value!r} is no limit; KIND=N was expected, such as red_light=0, where KIND is of {kinds}.", param, ctx
-            )
-        return kind, int(number)
+    kind, _, number = text.partition("=")
+    if kind not in INFRACTIONS or not (number.isascii() and number.isdecimal() and len(number) < 10):
+        kinds = ", ".join(INFRACTIONS)
+        raise ValueError(f"{text!r} is no limit; KIND=N was expected, such as red_light=0, where KIND is of {kinds}")
+    return kind, int(number)
 
 
 @click.command(epilog="Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin.")
@@ -75,7 +54,7 @@ class _Limit(click.ParamType[Any]):
 @click.option("--from-drive", is_flag=True, help="Score without a route: the infractions along the driven path.")
 @click.option(
     "--formula",
-    type=_Formula(),
+    type=click.Choice(FORMULAS),
     default="2.0",
     show_default=True,
     help="The version of the Leaderboard whose formula counts.",
@@ -86,7 +65,14 @@ class _Limit(click.ParamType[Any]):
 @click.option(
     "--max-infractions", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if a recording has more."
 )
-@click.option("--max", "limits", type=_Limit(), multiple=True, metavar="KIND=N", help="The same for a kind: red_light=0.")
+@click.option(
+    "--max",
+    "limits",
+    type=Parsed("limit", _limit),
+    multiple=True,
+    metavar="KIND=N",
+    help="The same for a kind: red_light=0.",
+)
 @click.option("--junit", type=click.Path(), metavar="FILE", help="Write what becomes of these limits as JUnit XML.")
 @options.road_map
 @options.jobs

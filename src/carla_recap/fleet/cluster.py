@@ -148,7 +148,7 @@ def _outcomes(pickled: bytes, sources: Iterable[SourceFile], limit: float | None
 
     with _one_at_a_time:
         if limit is not None:
-            return [_kept(pickled, limit).call(source) for source in sources]
+            return _in_child(pickled, sources, limit)
         try:
             function = loads(pickled)
         except ImportError as error:
@@ -156,15 +156,14 @@ def _outcomes(pickled: bytes, sources: Iterable[SourceFile], limit: float | None
         return [outcome_of(partial(_on_worker, function), source) for source in sources]
 
 
-def _kept(pickled: bytes, limit: float) -> KeptWorker[Any]:
-    """Return the child process for a function, which is kept until there is one for another function."""
-    key = pickled, limit
-    if key not in _children:
-        for child in _children.values():
-            child.close()
-        _children.clear()
-        _children[key] = KeptWorker(_Pickled(pickled), limit)
-    return _children[key]
+def _in_child(pickled: bytes, sources: Iterable[SourceFile], limit: float) -> list[Outcome[T]]:
+    """Return the outcomes of a function in a child process, which is kept until there is one for another function."""
+    child = _children.pop((pickled, limit), None) or KeptWorker(_Pickled(pickled), limit)
+    while _children:
+        _children.popitem()[1].close()
+    found = [child.call(source) for source in sources]
+    _children[pickled, limit] = child
+    return found
 
 
 class _Pickled:

@@ -1,13 +1,10 @@
-"""Worker processes of this machine that call a function for recordings.
+"""Worker processes of this machine that call a function for recordings, one at a time.
 
-The parent gives an idle worker a few recordings at a time, and gets their outcomes together. It knows which recordings a
-worker has, so that the end of a worker loses none of them: they are given to others, one by one, until it is known which of
-them ends the process.
+The parent knows which recording a worker has, so that the end of a worker loses none: it is read again by another one.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import pickle
 import signal
@@ -17,7 +14,6 @@ import traceback
 from collections import deque
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import islice
 from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.connection import wait
 from multiprocessing.resource_tracker import ensure_running
@@ -29,7 +25,7 @@ from carla_recap.fleet.outcomes import Outcome, outcome_of
 from carla_recap.util.signals import TERMINATION, broken_pipes_are_errors, hold_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
     from multiprocessing.connection import Connection
 
     from carla_recap.fleet.sources import SourceFile
@@ -37,17 +33,18 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _WINDOW: Final = 64  # recordings for each worker that are read, or whose outcomes wait for those of earlier ones, at a time
-_MOST: Final = 16  # recordings that a worker has at a time
-_SHORT: Final = 0.05  # s; if a worker takes less for those that it has, it is given more
-_TRIES: Final = 2  # times that a recording is read alone by workers that end
+_TRIES: Final = 2  # times that a recording is read by workers that end
 _STARTS: Final = 3  # workers that end in a row before they have begun
 _GRACE: Final = 0.5  # s that workers have to clean up
-_CHECK: Final = 1.0  # s between looks at workers that have a limit
+_CHECK: Final = 0.1  # s between looks at workers that have a limit
+_HINT: Final = (
+    "a script calls this below `if __name__ == '__main__':`, a notebook with a function of a module, or with jobs=1"
+)
 
 
 @dataclass(slots=True)
 class _Task:
-    """A recording, its position among all, and the number of workers that ended while they read it alone."""
+    """A recording, its position among all, and the number of workers that ended while they read it."""
 
     index: int
     source: SourceFile
@@ -63,7 +60,7 @@ class _Raised:
 
 
 class _Worker(Generic[T]):
-    """A worker process, and the tasks that it has; without a limit, no function ends or blocks it."""
+    """A worker process; without a limit, no function ends or blocks it."""
 
     def __init__(self, function: Callable[[SourceFile], T], limit: float | None) -> None:
         context = get_context("spawn")
@@ -72,209 +69,140 @@ class _Worker(Generic[T]):
         ensure_running()  # which would release the signals below
         with hold_termination(), _may_have_children():
             self.process.start()
-        self._limit = limit
         theirs.close()
-        self.tasks: deque[_Task] = deque()
         self.has_begun = False
-        self.most = 1
-        self._given = math.inf
+        self._limit = limit
+        self._given = 0.0
 
-    @property
-    def due(self) -> float:
-        """When its recording has taken too long, on the monotonic clock."""
-        return self._given + (math.inf if self._limit is None else self._limit) if self.has_begun else math.inf
-
-    def give(self, tasks: Iterable[_Task]) -> None:
-        """Give tasks to the worker, which has none. If it has ended, that is found when its outcomes are received."""
-        self.tasks.extend(tasks)
+    def give(self, source: SourceFile) -> None:
+        """Give it a recording. If the process has ended, that is found when the outcome is asked for."""
         self._given = monotonic()
         with suppress(OSError), broken_pipes_are_errors():
-            self.connection.send([task.source for task in self.tasks])
+            self.connection.send(source)
 
-    def receive(self) -> list[tuple[_Task, Outcome[T]]]:
-        """Return the outcomes that the worker has sent; raise `EOFError` if it has ended, or the function's error."""
-        try:
-            message: list[Outcome[T]] | _Raised | None = self.connection.recv()
-        except OSError:
-            raise EOFError from None
-        if not self.has_begun:
-            self.has_begun = True
-            self._given = monotonic()
-        if isinstance(message, _Raised):
-            message.error.add_note(message.trace)
-            raise message.error
-        outcomes = [(self.tasks.popleft(), outcome) for outcome in message or ()]
-        if outcomes and not self.tasks and self._limit is None:
-            is_short = monotonic() - self._given < _SHORT
-            self.most = min(self.most * 2, _MOST) if is_short else max(self.most // 2, 1)
-        return outcomes
+    def outcome(self) -> Outcome[T] | None:
+        """Return the outcome if there is one; raise the function's error.
 
-    def end_group(self) -> None:
-        """End the processes that the function has left behind."""
+        Raise `EOFError` if the process has ended without an outcome; it says so if that was for the limit.
+        """
+        has_ended = not self.process.is_alive()  # which the connection does not say while another process holds it
+        if self.connection.poll():
+            try:
+                message: Outcome[T] | _Raised | None = self.connection.recv()
+            except OSError:
+                raise EOFError from None
+            if isinstance(message, _Raised):
+                message.error.add_note(message.trace)
+                raise message.error
+            if message is None:
+                self.has_begun = True
+                self._given = monotonic()
+            return message
+        if has_ended:
+            raise EOFError
+        if self._limit is not None and self.has_begun and monotonic() - self._given > self._limit:
+            self.process.kill()
+            raise EOFError(f"takes more than {self._limit:g} s")
+        return None
+
+    def close(self) -> str:
+        """Wait for the end of the process, and end those that it has left behind; return how it ended."""
+        self.connection.close()
         if self._limit is not None and hasattr(os, "killpg"):
             with suppress(OSError):
                 os.killpg(self.process.pid or 0, signal.SIGKILL)
-
-
-class _Pool(Generic[T]):
-    """Worker processes that call a function."""
-
-    def __init__(self, function: Callable[[SourceFile], T], limit: float | None) -> None:
-        self._function = function
-        self._limit = limit
-        self._workers: list[_Worker[T]] = []
-        self._failures = 0  # workers in a row that ended before they had begun
-
-    def __len__(self) -> int:
-        return len(self._workers)
-
-    def idle(self) -> _Worker[T] | None:
-        """Return a worker without tasks, if there is one."""
-        return next((each for each in self._workers if not each.tasks), None)
-
-    def start(self) -> _Worker[T]:
-        """Start another worker."""
-        worker = _Worker(self._function, self._limit)
-        self._workers.append(worker)
-        return worker
-
-    def wait(self) -> list[tuple[_Task, Outcome[T] | None]]:
-        """Wait for workers that have tasks; return finished tasks with their outcomes, None for those to be given anew."""
-        busy = {worker.connection: worker for worker in self._workers if worker.tasks}
-        patience = None if self._limit is None else min(_CHECK, *(each.due - monotonic() for each in busy.values()))
-        found: list[tuple[_Task, Outcome[T] | None]] = []
-        for connection in wait(list(busy), patience if patience is None else max(patience, 0.0)):
-            worker = busy.pop(connection)  # type: ignore[call-overload]
-            try:
-                found += worker.receive()
-                self._failures = 0
-            except EOFError:
-                found += self._lost(worker)
-        for worker in busy.values() if self._limit is not None else ():
-            if worker.connection.poll():
-                continue
-            if monotonic() > worker.due:
-                task = worker.tasks[0]
-                self._workers.remove(worker)
-                _end([worker], graceful=False, grace=0.0)
-                found.append(
-                    (task, Outcome(task.source, None, f"{task.source.location}: takes more than {self._limit:g} s"))
-                )
-            elif not worker.process.is_alive():  # and a process that it has forked holds the connection
-                found += self._lost(worker)
-        return found
-
-    def end(self, *, graceful: bool) -> None:
-        """End all workers."""
-        _end(self._workers, graceful=graceful)
-        self._workers = []
-
-    def _lost(self, worker: _Worker[T]) -> Iterator[tuple[_Task, Outcome[T] | None]]:
-        """Yield the tasks that an ended worker has not finished, with the outcome of one that it is to blame for."""
-        self._workers.remove(worker)
-        worker.end_group()
-        worker.process.join()
-        self._failures = 0 if worker.has_begun else self._failures + 1
-        if self._failures == _STARTS:
-            raise RecapError(_no_start(worker)) from None
-        alone = worker.has_begun and len(worker.tasks) == 1
-        for task in worker.tasks:
-            task.ends += alone
-            if task.ends < _TRIES:
-                yield task, None
-            else:
-                message = f"{task.source.location}: its worker process ends ({_cause(worker)})"
-                yield task, Outcome(task.source, None, message)
+        self.process.join()
+        code = self.process.exitcode or 0
+        self.process.close()
+        try:
+            return signal.Signals(-code).name
+        except ValueError:
+            return f"exit code {code}"
 
 
 def map_in_workers(
     function: Callable[[SourceFile], T], sources: Iterable[SourceFile], jobs: int, limit: float | None = None
-) -> Iterator[Outcome[T]]:
+) -> Generator[Outcome[T]]:
     """Yield the outcomes of a function for recordings, in their order; see `engine.map_sources`."""
     unread = (_Task(index, source) for index, source in enumerate(sources))
     again: deque[_Task] = deque()  # tasks of workers that ended
     known: dict[int, Outcome[T]] = {}  # the outcomes that wait for those of earlier recordings
-    position = given = 0
-    pool = _Pool(function, limit)
-    graceful = False
+    position = given = failures = 0
+    idle: list[_Worker[T]] = []
+    busy: dict[_Worker[T], _Task] = {}
     try:
         while True:
-            while (idle := pool.idle()) or len(pool) < jobs:
-                room = position + _WINDOW * jobs - given
-                if again:
-                    tasks = [again.popleft()]
-                else:
-                    tasks = list(islice(unread, max(min(idle.most if idle else 1, room), 0)))
-                    given += len(tasks)
-                if not tasks:
+            while len(busy) < jobs:
+                task = again.popleft() if again else next(unread, None) if given - position < _WINDOW * jobs else None
+                if task is None:
                     break
-                (idle or pool.start()).give(tasks)
-            if position == given:
-                break
-            for task, outcome in pool.wait():
-                if outcome is None:
-                    again.append(task)
-                else:
+                given = max(given, task.index + 1)
+                worker = idle.pop() if idle else _Worker(function, limit)
+                busy[worker] = task
+                worker.give(task.source)
+            if not busy:
+                return
+            wait([worker.connection for worker in busy], None if limit is None else _CHECK)
+            for worker, task in list(busy.items()):
+                outcome = None
+                try:
+                    outcome = worker.outcome()
+                    if outcome is None:
+                        continue
+                    del busy[worker]
+                    idle.append(worker)
+                except EOFError as end:
+                    del busy[worker]
+                    cause = worker.close()
+                    failures = 0 if worker.has_begun else failures + 1
+                    if failures == _STARTS:
+                        raise RecapError(f"the worker processes do not start ({cause}); {_HINT}") from None
+                    task.ends += worker.has_begun
+                    if task.ends < _TRIES and not end.args:
+                        again.append(task)
+                    else:
+                        reason = str(end) or f"its worker process ends ({cause})"
+                        outcome = Outcome(task.source, None, f"{task.source.location}: {reason}")
+                if outcome is not None:
                     known[task.index] = outcome
             while position in known:
                 yield known.pop(position)
                 position += 1
-        graceful = True
     finally:
-        pool.end(graceful=graceful)
+        _end(idle, busy)
 
 
 class KeptWorker(Generic[T]):
-    """A worker process that calls a function for one recording after another, and is started anew when it ends."""
+    """A worker process that calls a function for one recording after another, and is started anew when it ends.
+
+    An error of the function that is no outcome ends it.
+    """
 
     def __init__(self, function: Callable[[SourceFile], T], limit: float) -> None:
-        self._pool = _Pool(function, limit)
+        self._given: deque[SourceFile] = deque()
+        self._outcomes = map_in_workers(function, iter(self._given.popleft, None), 1, limit)
 
     def call(self, source: SourceFile) -> Outcome[T]:
         """Return the outcome of the function for a recording."""
-        task = _Task(0, source)
-        while True:
-            (self._pool.idle() or self._pool.start()).give([task])
-            found: list[tuple[_Task, Outcome[T] | None]] = []
-            while not found:
-                found = self._pool.wait()
-            outcome = found[0][1]
-            if outcome is not None:
-                return outcome
+        self._given.append(source)
+        return next(self._outcomes)
 
     def close(self) -> None:
         """End the process."""
-        self._pool.end(graceful=True)
+        self._outcomes.close()
 
 
-def _no_start(worker: _Worker[Any]) -> str:
-    worker.process.join()
-    hint = "a script calls this below `if __name__ == '__main__':`, a notebook with a function of a module, or with jobs=1"
-    return f"the worker processes do not start ({_cause(worker)}); {hint}"
-
-
-def _cause(worker: _Worker[Any]) -> str:
-    code = worker.process.exitcode or 0
-    try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"exit code {code}"
-
-
-def _end(workers: Iterable[_Worker[Any]], *, graceful: bool, grace: float = _GRACE) -> None:
-    """End workers; those that are busy are terminated, and after some seconds killed."""
-    for worker in workers:
+def _end(idle: Iterable[_Worker[Any]], busy: Iterable[_Worker[Any]]) -> None:
+    """End workers; those that are busy are terminated, and after a while killed."""
+    for worker in busy:
+        worker.process.terminate()
+    for worker in idle:
         worker.connection.close()  # which ends one that waits
-        if not graceful:
-            worker.process.terminate()
-    deadline = monotonic() + grace
-    for worker in workers:
+    deadline = monotonic() + _GRACE
+    for worker in (*busy, *idle):
         worker.process.join(max(deadline - monotonic(), 0.0))
-        if worker.process.is_alive():
-            worker.process.kill()
-            worker.process.join()
-        worker.end_group()
-        worker.process.close()
+        worker.process.kill()
+        worker.close()
 
 
 @contextmanager
@@ -308,18 +236,12 @@ def _serve(connection: Connection, function: Callable[[SourceFile], T], is_limit
     with suppress(EOFError, OSError):
         connection.send(None)
         while True:
-            outcomes: list[Outcome[T]] = []
-            due = monotonic() + _SHORT
-            for source in connection.recv():
-                if outcomes and monotonic() > due:
-                    connection.send_bytes(_pickled(outcomes))
-                    outcomes, due = [], monotonic() + _SHORT
-                try:
-                    outcomes.append(outcome_of(function, source))
-                except Exception as error:
-                    connection.send_bytes(_pickled(_raised(error)))
-                    return
-            connection.send_bytes(_pickled(outcomes))
+            source = connection.recv()
+            try:
+                message: Outcome[T] | _Raised = outcome_of(function, source)
+            except Exception as error:
+                message = _raised(error)
+            connection.send_bytes(_pickled(message))
 
 
 def _end_with_parent() -> None:
