@@ -89,12 +89,12 @@ class _Commands(click.Group):
             extra = _EXTRAS.get((str(ctx.invoked_subcommand), error.extra), error.extra)
             raise MissingExtra(f"carla-recap {ctx.invoked_subcommand}", extra) from None
         finally:
-            print_written(ctx, empty=succeeds)
+            print_written(empty=succeeds)
 
 
-def _set_quiet(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+def _set_quiet(_: click.Context, __: click.Parameter, value: bool) -> None:
     if value:
-        ask_quiet(ctx)
+        ask_quiet()
 
 
 def _set_verbose(_: click.Context, __: click.Parameter, value: int) -> None:

@@ -18,15 +18,15 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.check import loaded_rules
 from carla_recap.cli.many import cluster
-from carla_recap.cli.output import counted, end, fail, note, print_pieces, say, warn, wrote
+from carla_recap.cli.output import counted, emit, end, fail, note, say, warn, wrote
 from carla_recap.cli.parameter_types import NUMBER, POSITIVE
+from carla_recap.cli.progress import SourcesBar
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
 
     from carla_recap.fleet.campaign import Campaign, FinishedRun
     from carla_recap.fleet.campaign.plan import ParameterRange, Value
-    from carla_recap.fleet.campaign.report import CampaignRow
     from carla_recap.fleet.campaign.results import Scoring
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.engine import Processes
@@ -98,29 +98,27 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
     """
     from carla_recap.errors import RecapError
     from carla_recap.fleet.campaign import Campaign
-    from carla_recap.fleet.campaign.report import row_of
     from carla_recap.fleet.campaign.results import SCORE, result_named
     from carla_recap.sim import load_town
 
-    context = click.get_current_context()
     if (request.function is None) == (request.script is None):
-        raise click.UsageError("either FILE.py:FUNCTION or --serve SCRIPT.py was expected.", context)
+        raise click.UsageError("either FILE.py:FUNCTION or --serve SCRIPT.py was expected.")
     if request.script is None and how["python"] is not None:
-        raise click.UsageError("--python goes with --serve.", context)
+        raise click.UsageError("--python goes with --serve.")
     if request.is_search and (request.minimize is None) == (request.maximize is None):
-        raise click.UsageError("--search needs either --minimize or --maximize.", context)
+        raise click.UsageError("--search needs either --minimize or --maximize.")
     if not request.is_search and request.objective:
-        raise click.UsageError("--minimize and --maximize go with --search.", context)
+        raise click.UsageError("--minimize and --maximize go with --search.")
     compared = result_named(request.measure or request.objective or "time_to_collision")
     scoring = request.scoring()
     if compared is SCORE and scoring is None:
-        raise click.UsageError("a score needs --route or --from-drive.", context)
+        raise click.UsageError("a score needs --route or --from-drive.")
     rules = None if request.rules_file is None else loaded_rules(request.rules_file)
     if how["town"] is not None:
         load_town(how["town"])  # whose error would be that of each run
     values = _parameters(request.params, is_search=request.is_search)
     made = Campaign(function=_function(request, [*values]), out=request.out, jobs=request.jobs, scoring=scoring, **how)
-    rows: list[CampaignRow] = []
+    rows: list[FinishedRun] = []
     with ExitStack() as stack:
         processes: Processes = {"jobs": request.jobs, "client": stack.enter_context(cluster(request.dask))}
         total, runs = _runs(replace(made, client=processes["client"]), request, values)
@@ -128,7 +126,7 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
         try:
             most = math.inf if request.keep_going else max(_workers(processes), 2)
             for finished in _watched(stack.enter_context(closing(runs)), total, most):
-                rows.append(row_of(finished))  # noqa: PERF401 - the rows so far are counted if it is interrupted
+                rows.append(finished)  # noqa: PERF402 - the rows so far are counted if it is interrupted
         except (KeyboardInterrupt, SystemExit):
             note(f"interrupted: {len(rows)} of {counted(total, 'run')} done; the same command makes the others")
             raise
@@ -140,8 +138,8 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
         if folder is not None:
             rows = _reported(rows, checked, folder, compared, request, processes)
     _show(rows, compared, request.form)
-    failed, broken = sum(row.error is not None for row in rows), sum(bool(row.broken) for row in rows)
-    there = sum(row.was_there for row in rows)
+    failed, broken = sum(row.report.error is not None for row in rows), sum(bool(row.broken) for row in rows)
+    there = sum(row.report.was_there for row in rows)
     note(
         f"runs: {len(rows) - failed - there} done, {there} were there, {failed} failed"
         + (f"; {counted(broken, 'recording')} of {len(rows) - failed} break rules" if rules is not None else "")
@@ -185,11 +183,10 @@ class CampaignRequest:
         from carla_recap.fleet.campaign.results import Scoring
         from carla_recap.queries.score import read_routes
 
-        context = click.get_current_context()
         if self.routes_file is not None and self.from_drive:
-            raise click.UsageError("either --route or --from-drive was expected.", context)
+            raise click.UsageError("either --route or --from-drive was expected.")
         if self.routes_file is None and self.route_id is not None:
-            raise click.UsageError("--route-id goes with --route.", context)
+            raise click.UsageError("--route-id goes with --route.")
         if self.routes_file is not None:
             return Scoring(tuple(read_routes(self.routes_file)), self.route_id, self.road_map)
         return Scoring(None, road_map=self.road_map) if self.from_drive else None
@@ -265,8 +262,6 @@ def _workers(processes: Processes) -> int:
 
 def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator[FinishedRun]:
     """Yield runs until `most` have failed in a row; show the progress, the warnings, and each error once."""
-    from carla_recap.cli.progress import SourcesBar
-
     errors: Counter[str] = Counter()
     failed = done = 0  # failed ones in a row
     with SourcesBar("running", total) as bar:
@@ -292,32 +287,31 @@ def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator
 
 
 def _judged(
-    rows: Sequence[CampaignRow], rules: RuleSet, road_map: str | None, processes: Processes
-) -> tuple[list[CampaignRow], dict[str, CheckedRecording]]:
-    from carla_recap.cli.progress import SourcesBar
+    rows: Sequence[FinishedRun], rules: RuleSet, road_map: str | None, processes: Processes
+) -> tuple[list[FinishedRun], dict[str, CheckedRecording]]:
     from carla_recap.fleet.campaign.report import judged
 
-    found: list[CampaignRow] = []
+    found: list[FinishedRun] = []
     checked: dict[str, CheckedRecording] = {}
     with SourcesBar("checking", len(rows)) as bar:
         for row, verdicts in bar.counted(judged(rows, rules, road_map=road_map, **processes)):
             found.append(row)
             if verdicts is not None:
-                checked[row.recording] = verdicts
+                checked[row.run.location] = verdicts
                 with bar.aside():
                     for line in verdicts.warnings:
-                        warn(f"{row.recording}: {line}")
+                        warn(f"{row.run.location}: {line}")
     return found, checked
 
 
 def _reported(
-    rows: list[CampaignRow],
+    rows: list[FinishedRun],
     checked: dict[str, CheckedRecording],
     folder: Path,
     measure: Measure,
     request: CampaignRequest,
     processes: Processes,
-) -> list[CampaignRow]:
+) -> list[FinishedRun]:
     """Write the pages, the index and the rows into a folder; return the rows with the paths of their pages."""
     from carla_recap.fleet.campaign.page import campaign_page
     from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS, with_pages, write_campaign_index, write_runs
@@ -327,7 +321,7 @@ def _reported(
     rows, warnings = with_pages(rows, folder, measure, request.pages, checked=checked, road_map=road_map, jobs=request.jobs)
     for line in warnings:
         warn(line)
-    if any(row.error is None for row in rows):
+    if any(row.report.error is None for row in rows):
         reason = write_campaign_index(rows, folder / INDEX, road_map=road_map, **processes)
         if reason is not None:
             warn(reason)
@@ -342,26 +336,32 @@ def _reported(
     return rows
 
 
-def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None) -> None:
+def _show(rows: Sequence[FinishedRun], measure: Measure, form: str | None) -> None:
     """Print all rows as JSON or CSV, or the worst ones."""
-    from carla_recap.fleet.campaign.report import runs_as_json, worst_first
+    from carla_recap.fleet.campaign.report import runs_as_json
+
+    emit(form, json=lambda: [runs_as_json(rows)], csv=lambda: _csv(rows), text=lambda: _say_worst(rows, measure))
+
+
+def _csv(rows: Sequence[FinishedRun]) -> list[str]:
+    from carla_recap.fleet.campaign.report import cells
+
+    text = io.StringIO()
+    names = list(dict.fromkeys(name for row in rows for name in cells(row)))
+    writer = csv_files.DictWriter(text, names, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(map(cells, rows))
+    return [text.getvalue()]
+
+
+def _say_worst(rows: Sequence[FinishedRun], measure: Measure) -> None:
+    from carla_recap.fleet.campaign.report import worst_first
     from carla_recap.fleet.campaign.results import crash_text
 
-    if form == "json":
-        print_pieces([runs_as_json(rows)])
-        return
-    if form == "csv":
-        text = io.StringIO()
-        names = list(dict.fromkeys(name for row in rows for name in row.cells()))
-        writer = csv_files.DictWriter(text, names, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(row.cells() for row in rows)
-        print_pieces([text.getvalue()])
-        return
     for row in worst_first(rows, measure)[:_SHOWN]:
-        found = row.results.get(measure.name)
+        found = row.report.results.get(measure.name)
         value = f"no {measure.title}" if found is None else f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
         time = "" if found is None or found.time is None else f" at {found.time:.2f} s"
-        crash = crash_text(row.results)
+        crash = crash_text(row.report.results)
         rules = f"; breaks {', '.join(row.broken)}" if row.broken else ""
-        say(f"{os.fspath(row.recording)}: {f'{crash}, ' * bool(crash)}{value}{time}{rules}", stream=sys.stdout)
+        say(f"{os.fspath(row.run.location)}: {f'{crash}, ' * bool(crash)}{value}{time}{rules}", stream=sys.stdout)

@@ -10,6 +10,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, end, note, wrote
 from carla_recap.cli.parameter_types import FOLLOW, NUMBER
+from carla_recap.cli.progress import watch_ticks
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
@@ -47,10 +48,9 @@ def capture(
 ) -> None:
     """Record what a CARLA server does, as one of its clients, to .mcap or .log; with sensors, to .mcap."""
     from carla_recap.capture import capture as run
-    from carla_recap.cli.progress import watch_ticks
 
     if rig is not None and sensors is not None:
-        raise click.UsageError("--rig and --sensors exclude each other.", click.get_current_context())
+        raise click.UsageError("--rig and --sensors exclude each other.")
     progress = watch_ticks("capturing", duration)
     captured = run(destination, duration=duration, sensors=sensors if rig is None else rig, progress=progress, **given)
     notes = [f"{counted(captured.missed, 'tick')} missed"] if captured.missed else []
@@ -108,6 +108,6 @@ def watch(
 
     foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
     if foxglove_port is not None and to is not None:
-        raise click.UsageError("--to goes with Rerun's viewer.", click.get_current_context())
+        raise click.UsageError("--to goes with Rerun's viewer.")
     why = run(to, foxglove_port=foxglove_port, ready=click.echo, **given)
     note(f"{to or ('the viewer' if foxglove_port is None else 'Foxglove')}: {why}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, SourcesRequest
-from carla_recap.cli.output import counted, end, fail, print_json, wrote
+from carla_recap.cli.output import counted, emit, end, fail, indented, wrote
 from carla_recap.output.terminal import TableColumn, print_table
 from carla_recap.util.signals import unwind_on_termination
 from carla_recap.util.text import visible
@@ -66,11 +65,11 @@ def check(
     one fails, 2 if one cannot be judged.
     """
     from carla_recap.errors import RecapError
-    from carla_recap.fleet.check import check_sources, strict, worst
+    from carla_recap.fleet.check import WORST_FIRST, check_sources, strict, worst
     from carla_recap.fleet.junit import prepare_junit, write_junit
 
     if html is None and clips:
-        raise click.UsageError("--clips goes with --html.", click.get_current_context())
+        raise click.UsageError("--clips goes with --html.")
     rules = loaded_rules(rules_file)
     if junit:
         prepare_junit(junit)
@@ -100,8 +99,13 @@ def check(
             write_junit(checked, junit)
         except RecapError as error:
             failures.append(error)
-    _show(checked, rules, form)
-    sys.stdout.flush()
+    ordered = sorted(checked, key=lambda each: WORST_FIRST.index(each.status))
+    rows = [row for each in ordered for row in _rows(each)]
+    json, table = partial(indented, _plain(ordered, rules)), partial(print_table, _COLUMNS, rows)
+    emit(form, json=json, table=table, text=partial(_text, rows))
+    if form != "json":
+        totals = f"{counted(len(checked), 'recording')}, {counted(len(rules), 'rule')} of {visible(rules.path)}"
+        click.echo(f"{summary(checked)}; {totals}")
     if html:
         wrote(Path(html) / "index.html")
     if junit and not failures:
@@ -170,27 +174,11 @@ def summary(checked: Sequence[CheckedRecording]) -> str:
     return ", ".join(f"{counts[status]} {word}" for status, word in words if counts[status] or status != "error")
 
 
-def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None) -> None:
-    """Print the verdicts, the worst first, and a summary."""
-    from carla_recap.fleet.check import WORST_FIRST
-
-    ordered = sorted(checked, key=lambda each: WORST_FIRST.index(each.status))
-    if form == "json":
-        print_json(_plain(ordered, rules))
-        return
-    rows = [row for each in ordered for row in _rows(each)]
-    if form is None and sys.stdout.isatty():
-        from rich.console import Console
-
-        print_table(Console(), _COLUMNS, rows)
-    else:
-        widths = [max(len(row[column]) for row in rows) if rows else 0 for column in range(4)]
-        for row in rows:
-            cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
-            click.echo("  ".join((*(cell for cell, width in zip(cells, widths, strict=True) if width), row[4])))
-    click.echo(
-        f"{summary(checked)}; {counted(len(checked), 'recording')}, {counted(len(rules), 'rule')} of {visible(rules.path)}"
-    )
+def _text(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)][:-1]
+    for *cells, last in rows:
+        aligned = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True) if width]
+        yield "  ".join((*aligned, last)) + "\n"
 
 
 def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:

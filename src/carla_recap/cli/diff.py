@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from carla_recap.cli import opening, options
-from carla_recap.cli.output import counted, end, print_pieces, wrote
+from carla_recap.cli.output import counted, emit, end, wrote
 from carla_recap.cli.parameter_types import NUMBER
+from carla_recap.cli.progress import watch_scenes
 
 if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
@@ -65,13 +66,7 @@ def diff(
     with ExitStack() as stack:
         a, b = (stack.enter_context(open_recording(path)) for path in (first, second))
         found = a.diff(b, tolerance=tolerance, time_tolerance=time_tolerance, events=events)
-        if form is None:
-            form = "table" if sys.stdout.isatty() else "text"
-        if form == "table":
-            output.table(found)
-        else:
-            print_pieces(output.json(found) if form == "json" else output.text(found))
-        sys.stdout.flush()
+        emit(form, **{each: partial(getattr(output, each), found) for each in ("text", "table", "json")})
         if rrd:
             _write_rrd(a, b, rrd, road_map, force=force)
         if html:
@@ -80,7 +75,6 @@ def diff(
 
 
 def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, force: bool) -> None:
-    from carla_recap.cli.progress import watch_scenes
     from carla_recap.show.rerun.export import export_rerun
 
     roads = opening.road_map_of(a, road_map)
@@ -89,7 +83,6 @@ def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, f
 
 
 def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_map: str | None, *, force: bool) -> None:
-    from carla_recap.cli.progress import watch_scenes
     from carla_recap.show.page import write_report
 
     progress, town = watch_scenes("sampling"), opening.town_of(a, road_map)

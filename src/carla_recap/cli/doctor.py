@@ -6,15 +6,19 @@ import os
 import platform
 import re
 from collections import defaultdict
+from functools import partial
 from importlib.metadata import PackageNotFoundError, distributions, requires, version
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted, print_json
+from carla_recap.cli.output import counted, emit, indented
 from carla_recap.errors import install_command
 from carla_recap.util.text import single_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 _PACKAGE: Final = "carla-recap"
 _NO_FEATURES: Final = ("all", "dev")
@@ -41,11 +45,7 @@ def doctor(form: str | None) -> None:
         "maps": _maps(),
         "cache": _cache(),
     }
-    if form == "json":
-        print_json(found)
-    else:
-        for heading, lines in _lines(found).items():
-            click.echo("\n".join([heading, *(f"  {name:<14} {text}".rstrip() for name, text in lines)]))
+    emit(form, json=partial(indented, found), text=partial(_text, found))
 
 
 def _versions() -> dict[str, str | None]:
@@ -131,8 +131,8 @@ def _version(package: str) -> str | None:
         return f"unknown ({type(error).__name__})"
 
 
-def _lines(found: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
-    """Return the lines of the text, each a name and what is said of it, by their headings."""
+def _text(found: dict[str, Any]) -> Iterator[str]:
+    """Yield the text: headings, and lines with a name and what is said of it."""
     from carla_recap.roads.find import described_folder
 
     drawing, cache = found["drawing"], found["cache"]
@@ -153,10 +153,13 @@ def _lines(found: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
     elif not found["maps"]["folder"] or len(maps) <= 1:
         maps.append(("others", f"none in {described_folder()}"))
     size = cache["error"] or f"{counted(cache['entries'], 'file')}, {cache['bytes'] / _MB:.1f} MB"
-    return {
+    parts = {
         "Versions": [(name, text or "not installed") for name, text in found["versions"].items()],
         "Drawing": drawn,
         "Extras": extras,
         "Maps": maps,
         "Cache": [("folder", cache["folder"] or "switched off"), ("size", size)],
     }
+    for heading, lines in parts.items():
+        yield f"{heading}\n"
+        yield from (f"  {name:<14} {text}".rstrip() + "\n" for name, text in lines)

@@ -10,6 +10,7 @@ import click
 from carla_recap.cli import opening, options
 from carla_recap.cli.output import wrote
 from carla_recap.cli.parameter_types import DATE
+from carla_recap.cli.progress import watch
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.fleet.outcomes import WrittenFile
 
@@ -55,7 +56,6 @@ def clip(request: WriteRequest, suffix: str | None, **given: Any) -> None:
 
 
 def _convert(source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch
     from carla_recap.editing.convert import convert as run
 
     extent = run(source, destination, force=force, progress=watch("converting"))
@@ -63,7 +63,6 @@ def _convert(source: str, destination: str, force: bool) -> WrittenFile:
 
 
 def _recover(source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch
     from carla_recap.editing.recover import recover as run
 
     result = run(source, destination, force=force, progress=watch("recovering"))
@@ -81,7 +80,6 @@ def _recover(source: str, destination: str, force: bool) -> WrittenFile:
 
 
 def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch
     from carla_recap.editing.clip import clip as run
 
     source, given = opening.timed(source, given)

@@ -13,8 +13,9 @@ from click.core import ParameterSource
 
 from carla_recap.cli import opening, options
 from carla_recap.cli.check import loaded_rules
-from carla_recap.cli.output import counted, note, wants_json, wrote
+from carla_recap.cli.output import counted, json_of_written, note, wrote
 from carla_recap.cli.parameter_types import POSITIVE, SIZE, TIME
+from carla_recap.cli.progress import watch_all, watch_incidents, watch_scenes
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.exports import FORMATS, find_format, write_part
 from carla_recap.exports import export as write_export
@@ -67,17 +68,15 @@ def export(
 ) -> None:
     """Write recordings in other formats."""
     shown["incidents"], shown["verdicts"] = options.shown_incidents(kinds), ()
-    context = click.get_current_context()
     is_many = request.has_many or (request.is_into_folder and (to is None or bool(FORMATS[to].suffix)))
     if to is None and is_many:
-        raise click.UsageError("--to says what is written to a folder.", context)
+        raise click.UsageError("--to says what is written to a folder.")
     form = find_format(request.destination, to, is_folder=is_many)
-    for param in context.command.params:
+    for param in click.get_current_context().command.params:
         name = {"kinds": "incidents", "rules": "verdicts"}.get(str(param.name), param.name)
-        is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
         is_known = name in form.options or (form.dataset and name in _OF_DATASETS)
-        if is_given and (name in shown or name in _OF_DATASETS) and not is_known:
-            raise click.UsageError(f"{param.opts[0]} does not go with --to {form.name}.", context)
+        if _is_given(str(param.name)) and (name in shown or name in _OF_DATASETS) and not is_known:
+            raise click.UsageError(f"{param.opts[0]} does not go with --to {form.name}.")
     if form.dataset:
         _export_dataset(request, form, split, shown)
         return
@@ -85,7 +84,7 @@ def export(
     if not is_many:
         request.write_one(write)
     elif shown["cameras"]:
-        raise click.UsageError("--cameras goes with one recording.", context)
+        raise click.UsageError("--cameras goes with one recording.")
     else:
         request.write_many(write, form.suffix, "exporting")
 
@@ -93,18 +92,15 @@ def export(
 def _export_dataset(
     request: WriteRequest, form: ExportFormat, split: dict[str, float] | None, shown: dict[str, Any]
 ) -> None:
-    context = click.get_current_context()
     if request.newer:
-        raise click.UsageError(f"--newer does not go with --to {form.name}, which is one folder.", context)
+        raise click.UsageError(f"--newer does not go with --to {form.name}, which is one folder.")
     if shown["rig"] is None:
-        raise click.UsageError(f"--to {form.name} needs --rig RIG.json.", context)
+        raise click.UsageError(f"--to {form.name} needs --rig RIG.json.")
     form.dataset_class.sensors_of(shown["rig"], shown["camera"])
     request.write_dataset(partial(_export_part, form.name, shown), form, split)
 
 
 def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name: str) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
-
     with opening.opened_part(source, shown) as (recording, part):
         given = {key: value for key, value in part.items() if key in FORMATS[to].options and value is not None}
         done = write_part(recording, folder, to=to, name=name, progress=watch_scenes("sensing"), **given)
@@ -114,7 +110,6 @@ def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name
 def _export(
     name: str, shown: dict[str, Any], rules: RuleSet | None, source: str, destination: str, force: bool
 ) -> WrittenFile:
-    from carla_recap.cli.progress import watch_all
     from carla_recap.recording import open_recording
 
     accepted = FORMATS[name].options
@@ -166,7 +161,6 @@ def clips(
     **how: Any,
 ) -> None:
     """Cut a clip of each incident, into a folder."""
-    from carla_recap.cli.progress import watch_incidents
     from carla_recap.recording import open_recording
     from carla_recap.show.clips import clips as run
 
@@ -220,12 +214,10 @@ def view(
 
     SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
-    from carla_recap.cli.progress import watch_scenes
-
-    port, context = options.foxglove_port_of(foxglove, foxglove_port), click.get_current_context()
+    port = options.foxglove_port_of(foxglove, foxglove_port)
     for name in ("view", "web", "web_port"):
-        if port is not None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"--{name.replace('_', '-')} goes with Rerun's viewer.", context)
+        if port is not None and _is_given(name):
+            raise click.UsageError(f"--{name.replace('_', '-')} goes with Rerun's viewer.")
     with opening.opened_part(source, shown) as (recording, part):
         roads = opening.road_map_of(recording, road_map, part["start"], part["duration"])
         if port is None:
@@ -305,10 +297,7 @@ def snapshot(
 @options.overlay
 @options.shown_kinds
 @options.models
-@click.pass_context
 def video(
-    ctx: click.Context,
-    /,
     request: WriteRequest,
     suffix: str | None,
     kinds: frozenset[str] | Literal["all"],
@@ -321,17 +310,16 @@ def video(
     shown["incidents"] = options.shown_incidents(kinds, shown["road_map"])
     if shown.pop("grid"):
         if shown["cameras"]:
-            raise click.UsageError("--grid shows all cameras; --camera chooses some. One of them was expected.", ctx)
+            raise click.UsageError("--grid shows all cameras; --camera chooses some. One of them was expected.")
         shown["cameras"] = "all"
     if shown["rig"] is not None and not shown["cameras"]:
-        raise click.UsageError("--rig goes with --camera or --grid.", ctx)
-    if shown["cameras"] and ctx.get_parameter_source("view") is ParameterSource.COMMANDLINE:
-        raise click.UsageError("--view goes without --camera and --grid.", ctx)
+        raise click.UsageError("--rig goes with --camera or --grid.")
+    if shown["cameras"] and _is_given("view"):
+        raise click.UsageError("--view goes without --camera and --grid.")
     request.write(partial(_video, shown), suffix, "mp4", "filming")
 
 
 def _video(shown: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
     from carla_recap.show.video import export_video
 
     with opening.opened_part(source, shown) as (recording, part):
@@ -361,7 +349,6 @@ def sense(request: WriteRequest, **given: Any) -> None:
 
 
 def _sense(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
     from carla_recap.sensors.ray_process import processes_for
     from carla_recap.util.child import started_ahead
 
@@ -399,10 +386,7 @@ def _sense(given: dict[str, Any], source: str, destination: str, force: bool) ->
 @click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
 @options.models
 @options.incident_options
-@click.pass_context
 def report(
-    ctx: click.Context,
-    /,
     request: WriteRequest,
     compare: str | None,
     wanted: IncidentOptions,
@@ -422,17 +406,17 @@ def report(
 
     single = Path(request.destination).suffix.lower() in SINGLE
     if port is not None and not serve:
-        raise click.UsageError("--port goes with --serve.", ctx)
-    if serve and wants_json(ctx):
-        raise click.UsageError("--json goes with a page that is written; --serve prints its address.", ctx)
+        raise click.UsageError("--port goes with --serve.")
+    if serve and json_of_written() is not None:
+        raise click.UsageError("--json goes with a page that is written; --serve prints its address.")
     for name, given in (("--serve", serve), ("--viewer", viewer)):
         if single and given:
-            raise click.UsageError(f"{name} goes with a folder; {request.destination} is a single file.", ctx)
+            raise click.UsageError(f"{name} goes with a folder; {request.destination} is a single file.")
     for name, given in (("--serve", serve), ("--viewer", viewer), ("--compare", compare is not None)):
         if request.has_many and given:
-            raise click.UsageError(f"{name} goes with one recording.", ctx)
+            raise click.UsageError(f"{name} goes with one recording.")
     if viewer and compare:
-        raise click.UsageError("--viewer goes with one recording.", ctx)
+        raise click.UsageError("--viewer goes with one recording.")
     write = partial(_report, compare, wanted, viewer, shown)
     if request.has_many:
         request.write_many(write, ".html", "sampling")
@@ -451,7 +435,6 @@ def _report(
     destination: str,
     force: bool,
 ) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
     from carla_recap.show.page import write_report
 
@@ -473,6 +456,11 @@ def _report(
         notes.append(counted(written.images, "image"))
     path = "index.html" if Path(destination).is_dir() else ""
     return WrittenFile(tuple(notes), size=written.size, facts=facts, path=path)
+
+
+def _is_given(name: str) -> bool:
+    """Return whether a parameter of the command is given."""
+    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 def _announce(address: str, hints: Iterable[str] = ()) -> None:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeVar
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.output import counted, end, fail, warn, wrote
+from carla_recap.cli.output import counted, emit, end, fail, warn, wrote
+from carla_recap.cli.progress import SourcesBar
 from carla_recap.errors import RecapError
 from carla_recap.util.text import number, visible
 
@@ -59,7 +60,6 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
     Recordings that INDEX has, and that have not changed, are not read again. Without --measures, only their events are read.
     """
     from carla_recap.cli.many import cluster
-    from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index.writing import write_index
     from carla_recap.queries.roads import WITHOUT_ROADS
     from carla_recap.util.text import readable
@@ -152,12 +152,8 @@ def show_rows(rows: pa.Table, form: Form) -> None:
     names = _different(rows.schema.names)
     batches = rows.to_batches(max_chunksize=_BATCH)
     values = chain.from_iterable(zip(*map(_values, batch.columns), strict=True) for batch in batches)
-    if form == "table":
-        _print_table(names, values)
-        return
-    for piece in _json(names, values) if form == "json" else _csv(names, values):
-        sys.stdout.buffer.write(piece.encode("utf-8", "surrogateescape"))
-    sys.stdout.buffer.flush()
+    write = {"table": _print_table, "json": _json, "csv": _csv}[form]
+    emit(form, **{form: lambda: write(names, values)})
 
 
 def _values(column: pa.Array) -> list[Any]:
@@ -183,12 +179,11 @@ def _different(names: list[str]) -> list[str]:
 
 
 def _json(names: list[str], rows: Iterable[tuple[Any, ...]]) -> Iterator[str]:
-    yield '{"rows": ['
-    separator = "\n"
-    for row in rows:
-        yield separator + _encoded(dict(zip(names, map(_plain, row), strict=True)))
-        separator = ",\n"
-    yield "\n]}\n"
+    from carla_recap.output.json import array_of
+
+    yield '{"rows": '
+    yield from array_of(_encoded(dict(zip(names, map(_plain, row), strict=True))) for row in rows)
+    yield "}\n"
 
 
 def _csv(names: list[str], rows: Iterable[tuple[Any, ...]]) -> Iterator[str]:
@@ -218,7 +213,7 @@ def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
         ]
         cells = [list(map(_shown, row)) for row in page]
         if len(names) == 1 or fits(columns, cells, console.width):
-            print_table(console, columns, cells, headed=not count)
+            print_table(columns, cells, console, headed=not count)
         else:
             for row in page:
                 console.print(_list_of(names, row))

@@ -26,13 +26,13 @@ from carla_recap.cli.output import (
     show,
     warn,
 )
+from carla_recap.cli.progress import SourcesBar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
 
     from distributed import Client
 
-    from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.answers import Form, Query, RecordingAnswer
     from carla_recap.fleet.sources import SourceFile
 
@@ -59,7 +59,6 @@ class SourcesRequest:
         A progress bar counts what is made. Signals end the `with` block. A source that means no recording is read, too, as
         an error.
         """
-        from carla_recap.cli.progress import SourcesBar
         from carla_recap.fleet.sources import find_sources
 
         with cluster(self.dask) as client:

@@ -71,8 +71,7 @@ def moment(source: str, time: float | None) -> tuple[str, float]:
     """Return a source without the time at its end (`#t=12.1`), and the time that is meant: that of the option, if any."""
     location, times = _split(source)
     if time is None and times is None:
-        ctx = click.get_current_context()
-        raise click.MissingParameter("SRC#t=S says it, too.", ctx=ctx, param_hint="'--at'", param_type="option")
+        raise click.MissingParameter("SRC#t=S says it, too.", param_hint="'--at'", param_type="option")
     return location, times.start if time is None and times is not None else time or 0.0
 
 

@@ -33,7 +33,7 @@ class _FormOption(click.Option):
         if not isinstance(value, list):
             return value, source
         if len(forms := dict.fromkeys(value)) > 1:
-            raise click.UsageError(f"{' and '.join(f'--{form}' for form in forms)}: one of them was expected.", ctx)
+            raise click.UsageError(f"{' and '.join(f'--{form}' for form in forms)}: one of them was expected.")
         return value[0], source
 
 
@@ -73,9 +73,9 @@ class _ShownKindsOption(_KindsOption):
         return click.Option.get_help_record(self, ctx)
 
 
-def _ask_json(context: click.Context, _: click.Parameter, value: bool) -> None:
+def _ask_json(_: click.Context, __: click.Parameter, value: bool) -> None:
     if value:
-        ask_json(context)
+        ask_json()
 
 
 sources = click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1, required=True)
@@ -284,7 +284,7 @@ def rig(text: str, *, is_required: bool = False) -> Callable[[Command], Command]
             from carla_recap.sensors.rig import SensorRig
 
             if rig is None and leaderboard:
-                raise click.UsageError("--leaderboard goes with --rig.", click.get_current_context())
+                raise click.UsageError("--leaderboard goes with --rig.")
             loaded = None if rig is None else SensorRig.load(rig, leaderboard=leaderboard)
             command(*arguments, rig=loaded, **given)
 

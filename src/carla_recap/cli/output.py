@@ -14,7 +14,7 @@ import click
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from carla_recap.fleet.answers import Form
@@ -57,9 +57,18 @@ def show(answer: Any, form: str | None, max_rows: int | None = None, warned: Seq
     """Print an answer, in JSON with the warnings, and end the program, with exit code 1 if it has more rows than allowed."""
     form = form_of(form, compat=getattr(answer, "compat", False))
     write = getattr(import_module(f"carla_recap.output.{form}"), form)
-    pieces = write(answer, warned) if form == "json" else write(answer)
-    print_pieces(pieces or ())  # a table has printed itself
+    emit(form, **{form: lambda: write(answer, warned) if form == "json" else write(answer)})
     end(unmet=is_too_many(0 if max_rows is None else len(answer), max_rows))
+
+
+def emit(form: str | None, **forms: Callable[[], Iterable[str] | None]) -> None:
+    """Print what one of some functions returns, the one of a form; without a form, of a table on a terminal, else of text.
+
+    Such as a table prints itself.
+    """
+    form = form or ("table" if "table" in forms and sys.stdout.isatty() else "text")
+    print_pieces(forms[form]() or ())
+    sys.stdout.flush()
 
 
 def is_too_many(rows: int, most: int | None) -> bool:
@@ -76,11 +85,11 @@ def end(*, failed: object = False, unmet: object = False) -> NoReturn:
     sys.exit(BAD_INPUT if failed else UNMET if unmet else 0)
 
 
-def print_json(value: object) -> None:
-    """Print a value that has no numbers but finite ones as JSON with indentation."""
+def indented(value: object) -> list[str]:
+    """Return a value that has no numbers but finite ones as JSON with indentation."""
     import json
 
-    click.echo(json.dumps(value, indent=1, allow_nan=False))
+    return [json.dumps(value, indent=1, allow_nan=False) + "\n"]
 
 
 def print_pieces(pieces: Iterable[str]) -> None:
@@ -98,19 +107,20 @@ def is_quiet() -> bool:
     return context is not None and bool(context.meta.get(_QUIET))
 
 
-def ask_quiet(context: click.Context) -> None:
+def ask_quiet() -> None:
     """Print neither progress nor success lines from now on."""
-    context.meta[_QUIET] = True
+    click.get_current_context().meta[_QUIET] = True
 
 
-def ask_json(context: click.Context) -> None:
+def ask_json() -> None:
     """Print what `wrote` was called with as JSON on stdout, when the command ends."""
-    context.meta.setdefault(_WRITTEN, {"written": []})
+    click.get_current_context().meta.setdefault(_WRITTEN, {"written": []})
 
 
-def wants_json(context: click.Context) -> bool:
-    """Return whether `ask_json` was called."""
-    return _WRITTEN in context.meta
+def json_of_written() -> dict[str, list[Any]] | None:
+    """Return what will be printed as JSON; None unless `ask_json` was called."""
+    context = click.get_current_context(silent=True)
+    return None if context is None else context.meta.get(_WRITTEN)
 
 
 def has_colors(stream: TextIO) -> bool:
@@ -149,10 +159,9 @@ def wrote(
         from carla_recap.util.files import size_of
 
         size = size_of(path)
-    context = click.get_current_context(silent=True)
-    if context is not None and wants_json(context):
+    if (listed := json_of_written()) is not None:
         known = {"path": os.fspath(path), "frames": frames, "seconds": seconds, "bytes": size, **facts}
-        context.meta[_WRITTEN]["written"].append({name: value for name, value in known.items() if value is not None})
+        listed["written"].append({name: value for name, value in known.items() if value is not None})
     if is_quiet():
         return
     told = [
@@ -165,19 +174,13 @@ def wrote(
     say(f"{os.fspath(path)}: {about}" if about else os.fspath(path), before="wrote", color="green")
 
 
-def not_written(name: str, things: list[Any]) -> None:
-    """List things that were not written in the JSON object, under a name."""
-    context = click.get_current_context()
-    if wants_json(context):
-        context.meta[_WRITTEN][name] = things
-
-
-def print_written(context: click.Context, *, empty: bool) -> None:
+def print_written(*, empty: bool) -> None:
     """Print what was written as one JSON object, if the command was asked for it, also an `empty` one if that is so."""
-    if wants_json(context) and (empty or any(context.meta[_WRITTEN].values())):
+    listed = json_of_written()
+    if listed is not None and (empty or any(listed.values())):
         from carla_recap.output.json import encoded
 
-        print_pieces([encoded(context.meta[_WRITTEN]) + "\n"])
+        print_pieces([encoded(listed) + "\n"])
 
 
 def _bytes(size: int) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Final, NoReturn
@@ -12,7 +11,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import SourcesRequest
-from carla_recap.cli.output import end, fail, print_json, print_pieces, wrote
+from carla_recap.cli.output import emit, end, fail, indented, wrote
 from carla_recap.cli.parameter_types import FOLLOW, PERCENT, Parsed
 from carla_recap.output.terminal import TableColumn, print_table
 from carla_recap.util.text import visible
@@ -103,16 +102,17 @@ def score(
     from carla_recap.fleet.junit import prepare_junit, write_junit
     from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
     from carla_recap.queries.score import ScoreOptions, read_routes
+    from carla_recap.queries.score.checkpoint import checkpoint
 
     if bool(route_files) == from_drive:
-        raise click.UsageError("One of --route and --from-drive was expected.", click.get_current_context())
+        raise click.UsageError("One of --route and --from-drive was expected.")
     if min_completion is not None and from_drive:
-        raise click.UsageError("--min-completion goes with --route.", click.get_current_context())
+        raise click.UsageError("--min-completion goes with --route.")
     if route_id is not None and from_drive:
-        raise click.UsageError("--route-id goes with --route.", click.get_current_context())
+        raise click.UsageError("--route-id goes with --route.")
     allowed = ScoreLimits(score=min_score, completion=min_completion, infractions=max_infractions, of_kind=dict(limits))
     if junit and not allowed:
-        raise click.UsageError("--junit goes with a limit, such as --min-score.", click.get_current_context())
+        raise click.UsageError("--junit goes with a limit, such as --min-score.")
     routes = read_routes(*route_files) if route_files else None
     wanted = ScoreOptions(formula=formula, actor=actor, road_map=road_map)
     if junit:
@@ -124,8 +124,11 @@ def score(
             outcomes.append(outcome)
             messages.add(outcome.source.location, outcome.warnings, outcome.error)
         messages.end()
-    _show([outcome.value for outcome in outcomes if outcome.value is not None], form)
-    sys.stdout.flush()
+    scores = [outcome.value for outcome in outcomes if outcome.value is not None]
+    if scores or form == "json":
+        text = partial(_lines, scores[0]) if len(scores) == 1 else partial(_text, scores)
+        table = text if len(scores) == 1 else partial(_table, scores)
+        emit(form, json=lambda: indented(checkpoint(scores)), text=text, table=table)
     judged = [checked(outcome, allowed) for outcome in outcomes]
     if junit:
         write_junit(judged, junit, suite=_SUITE)
@@ -134,18 +137,6 @@ def score(
     for each, verdict in broken:
         fail(f"{each.recording}: {verdict.message}")
     end(failed=messages.failed, unmet=broken)
-
-
-def _show(scores: Sequence[Score], form: str | None) -> None:
-    """Print scores."""
-    if form == "json":
-        from carla_recap.queries.score.checkpoint import checkpoint
-
-        print_json(checkpoint(scores))
-    elif len(scores) == 1:
-        print_pieces(_lines(scores[0]))
-    elif scores:
-        _print_table(scores, form)
 
 
 def _lines(score: Score) -> Iterator[str]:
@@ -190,8 +181,17 @@ def _cost(kind: str, share: float, formula: Formula) -> str:
     return "" if row.factor is None else f"x{1 - (1 - row.factor) * share:.3f}"
 
 
-def _print_table(scores: Sequence[Score], form: str | None) -> None:
-    """Print a line for each score, and the mean and the standard deviation of all."""
+def _text(scores: Sequence[Score]) -> Iterator[str]:
+    headings = tuple(column.heading for column in _COLUMNS)
+    return ("\t".join(row) + "\n" for row in (headings, *_rows(scores)))
+
+
+def _table(scores: Sequence[Score]) -> None:
+    print_table(_COLUMNS, _rows(scores))
+
+
+def _rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
+    """Return a row for each score, and the mean and the standard deviation of all."""
     from carla_recap.queries.score.checkpoint import bench2drive, means
 
     rows: list[tuple[str, ...]] = [
@@ -222,13 +222,7 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
         rows.append(
             (word, "", f"{score:.2f}", completed, f"{penalty:.3f}", "", "", "", *(("", "", "") if number else driving))
         )
-    if form is None and sys.stdout.isatty():
-        from rich.console import Console
-
-        print_table(Console(), _COLUMNS, rows)
-        return
-    for row in (tuple(column.heading for column in _COLUMNS), *rows):
-        click.echo("\t".join(row))
+    return rows
 
 
 def _percent(value: float | None) -> str:

@@ -107,7 +107,7 @@ def serve(
         _make_folder(recordings)
     foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
     if foxglove_port is not None and (rerun or rerun_to):
-        raise click.UsageError("--foxglove or --rerun was expected, not both.", click.get_current_context())
+        raise click.UsageError("--foxglove or --rerun was expected, not both.")
     is_shown = rerun or rerun_to or foxglove_port is not None or follow is not None
     viewer = _viewer(rerun_to, follow, foxglove_port) if is_shown else nullcontext()
     with viewer as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:

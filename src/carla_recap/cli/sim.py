@@ -12,6 +12,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.output import BAD_INPUT, log_to_stderr, wrote
 from carla_recap.cli.parameter_types import NUMBER, POSITIVE
+from carla_recap.cli.progress import watch_ticks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -161,8 +162,6 @@ def _recording(world: World, destination: str, *, additional_data: bool, force: 
 
 def _watch(what: str, seconds: float, ticks: Iterator[float]) -> None:
     """Run a simulation, with a progress bar."""
-    from carla_recap.cli.progress import watch_ticks
-
     for _ in watch_ticks(what, seconds)(ticks):
         pass
 

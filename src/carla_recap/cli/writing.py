@@ -11,7 +11,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import SourcesRequest, is_one
-from carla_recap.cli.output import counted, end, not_written, note, wrote
+from carla_recap.cli.output import counted, end, json_of_written, note, wrote
 from carla_recap.util.files import size_of
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ class WriteRequest(SourcesRequest):
 
     def __post_init__(self) -> None:
         if not self.sources:
-            ctx = click.get_current_context()
-            raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
+            raise click.MissingParameter(param_hint="'DST'", param_type="argument")
         if not self.destination:
             raise click.BadParameter("a path or a URL was expected.", param_hint="'DST'")
 
@@ -71,7 +70,7 @@ class WriteRequest(SourcesRequest):
         elif suffix is None:
             self.write_one(write)
         else:
-            raise click.UsageError("--to goes with a folder.", click.get_current_context())
+            raise click.UsageError("--to goes with a folder.")
 
     def write_one(self, write: Write) -> None:
         """Write the file, or the folder, of the only recording, and say so."""
@@ -141,8 +140,8 @@ class WriteRequest(SourcesRequest):
         for hint in hints:
             note(hint)
         note(f"recordings: {written} done, {len(skipped)} skipped, {len(failed)} failed")
-        not_written("skipped", list(skipped))
-        not_written("failed", failed)
+        if (listed := json_of_written()) is not None:
+            listed |= {"skipped": list(skipped), "failed": failed}
         if failed:
             end(failed=True)
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.lives import HERO
-from carla_recap.output.json import encoded, rows
+from carla_recap.output.json import array_of, encoded, rows
 from carla_recap.output.table import most_important_first
 from carla_recap.output.terminal import TableColumn, name_column, number_column, print_table
 from carla_recap.util.text import visible
@@ -47,7 +47,7 @@ def table(found: Differences, console: Console | None = None) -> None:
     for title, columns, listed in _listings(found):
         console.print()
         console.print(Text(title, "bold"))
-        print_table(console, columns, [[column.cell(row) for column in columns] for row in listed])
+        print_table(columns, [[column.cell(row) for column in columns] for row in listed], console)
 
 
 def json(found: Differences) -> Iterator[str]:
@@ -69,12 +69,8 @@ def json(found: Differences) -> Iterator[str]:
     }
     yield encoded(head)[:-1]
     for name in ("actors", "missing", "extra", "lights", "events"):
-        yield f', "{name}": ['
-        separator = "\n"
-        for row in rows(getattr(found, name)):
-            yield separator + row
-            separator = ",\n"
-        yield "\n]"
+        yield f', "{name}": '
+        yield from array_of(rows(getattr(found, name)))
     yield "}\n"
 
 

@@ -13,7 +13,7 @@ from carla_recap.tables import column_names
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.model.frame import Extent, Header
     from carla_recap.output.text import AnyAnswer
@@ -24,16 +24,22 @@ def json(answer: AnyAnswer, warnings: Sequence[str] | None = None) -> Iterator[s
 
     That of info also lists the sensors whose data the recording has. Numbers that are not finite become null.
     """
-    yield encoded(_header(answer.header))[:-1] + ', "rows": ['
-    separator = "\n"
-    for row in rows(answer):
-        yield separator + row
-        separator = ",\n"
+    yield encoded(_header(answer.header))[:-1] + ', "rows": '
+    yield from array_of(rows(answer))
     about = _extent(answer.extent)
     if isinstance(answer, Info):
         names = column_names(RecordedSensor)
         about["sensors"] = [{name: getattr(sensor, name) for name in names} for sensor in sensors(answer.source)]
-    yield "\n], " + encoded(about if warnings is None else {**about, "warnings": list(warnings)})[1:] + "\n"
+    yield ", " + encoded(about if warnings is None else {**about, "warnings": list(warnings)})[1:] + "\n"
+
+
+def array_of(values: Iterable[str]) -> Iterator[str]:
+    """Yield a list of values that are JSON already, a line each."""
+    separator = "[\n"
+    for value in values:
+        yield separator + value
+        separator = ",\n"
+    yield "[\n]" if separator == "[\n" else "\n]"
 
 
 def rows(answer: AnyAnswer, **more: Any) -> Iterator[str]:

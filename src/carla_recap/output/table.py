@@ -49,7 +49,7 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
     while page := list(islice(rows, None if isinstance(answer, list) else _PAGE)):
         columns = _COLUMNS[answer.row_type]
         cells = [[column.cell(row) for column in columns] for row in page]
-        print_table(console, columns, cells, headed=not count)
+        print_table(columns, cells, console, headed=not count)
         count += len(page)
     extent = answer.extent
     things = "row" if count == 1 else "rows"
@@ -82,7 +82,7 @@ def cells(answer: AnyAnswer) -> Iterator[tuple[str, ...]]:
 def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: TableColumn) -> None:
     """Print a table of the rows of several answers: the cells of the `first` columns, then those of `cells`, if any."""
     columns = [*first, *_COLUMNS[row_type]] if row_type else first
-    print_table(console, columns, rows)
+    print_table(columns, rows, console)
 
 
 def _known(value: float) -> str:

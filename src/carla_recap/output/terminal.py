@@ -68,16 +68,19 @@ def name_column(heading: str, cell: Callable[[Any], str], **looks: Any) -> Table
 
 
 def print_table(
-    console: Console, columns: Sequence[TableColumn], rows: Sequence[Sequence[str]], *, headed: bool = True
+    columns: Sequence[TableColumn], rows: Sequence[Sequence[str]], console: Console | None = None, *, headed: bool = True
 ) -> None:
-    """Print a table; characters that could control the terminal are shown as escape sequences.
+    """Print a table on a console; None: that of the standard output.
 
-    Columns without any text are left out. If others have to be left out in a narrow terminal, a last line names them.
+    Characters that could control the terminal are shown as escape sequences. Columns without any text are left out.
+    If others have to be left out in a narrow terminal, a last line names them.
     """
     from rich import box
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    console = console or Console()
     every = [list(map(visible, cells)) for cells in zip(*rows, strict=True)] or [[]] * len(columns)
     shown = [(column, cells) for column, cells in zip(columns, every, strict=True) if any(cells) or not rows or column.least]
     if _room(shown) > console.width:

@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from carla_recap.fleet.campaign.page import campaign_page
-from carla_recap.fleet.campaign.report import CampaignRow, worst_first
+from carla_recap.fleet.campaign.plan import CampaignRun
+from carla_recap.fleet.campaign.report import worst_first
 from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, crash_text, result_named
+from carla_recap.fleet.campaign.runs import FinishedRun, RunReport
 
 NASTY = "</style></p><img src=x onerror=alert(1)>\"'&amp;\x1b"
 MEASURE = result_named("ttc")
@@ -20,7 +22,8 @@ def row(seed, error=None, broken=None, page=None, value=None, **parameters):
     if value is not None:
         results[MEASURE.name] = Result(value, 1.5, 41)
     recording = f"/runs/seed={seed}," + ",".join(f"{name}={each}" for name, each in parameters.items()) + ".mcap"
-    return CampaignRow(seed, parameters, recording, error, "", False, 1.0, 20, 1.0, {} if error else results, broken, page)
+    run = CampaignRun(recording, seed=seed, parameters=parameters)
+    return FinishedRun(run, RunReport(error, results={} if error else results), broken=broken, page=page)
 
 
 def shown(rows):
@@ -100,11 +103,12 @@ def test_the_worst_runs_come_first_and_failed_ones_last():
 def test_of_runs_that_crash_the_fastest_comes_first_and_says_so():
     rows = [row(1, value=0.0), row(2, value=0.0), row(3, value=0.0), row(4, value=0.0), row(5, value=0.1)]
     for each, speed in ((rows[1], 3.0), (rows[2], 12.5), (rows[3], None)):
-        each.results[COLLISIONS.name] = Result(1.0, 1.5, 41)
+        each.report.results[COLLISIONS.name] = Result(1.0, 1.5, 41)
         if speed is not None:
-            each.results[IMPACT_SPEED.name] = Result(speed, 1.5, 41)
-    assert [each.seed for each in worst_first(rows, MEASURE)] == [3, 2, 4, 1, 5]
-    assert [crash_text(each.results) for each in rows] == ["", "crashed at 11 km/h", "crashed at 45 km/h", "crashed", ""]
+            each.report.results[IMPACT_SPEED.name] = Result(speed, 1.5, 41)
+    assert [each.run.seed for each in worst_first(rows, MEASURE)] == [3, 2, 4, 1, 5]
+    crashes = [crash_text(each.report.results) for each in rows]
+    assert crashes == ["", "crashed at 11 km/h", "crashed at 45 km/h", "crashed", ""]
     assert "12.5 m/s" in shown(rows)
 
 

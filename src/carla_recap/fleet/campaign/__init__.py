@@ -7,15 +7,13 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.campaign.origin import made_with
 from carla_recap.fleet.campaign.plan import CampaignRun, check_keywords, check_name, planned
-from carla_recap.fleet.campaign.results import measured
-from carla_recap.fleet.campaign.runs import RunReport, Simulation
+from carla_recap.fleet.campaign.runs import FinishedRun, RunReport, Simulation
 from carla_recap.fleet.destinations import DestinationFolder
 from carla_recap.fleet.engine import map_sources
 from carla_recap.formats.sources import is_remote
@@ -36,21 +34,6 @@ __all__ = ["Campaign", "FinishedRun", "RunReport", "campaign"]
 
 _SUFFIX = ".mcap"
 _STAGING = ".running-"
-
-
-@dataclass(frozen=True, slots=True)
-class FinishedRun:
-    """A run of a campaign, and what became of it.
-
-    Attributes:
-        run: The seed, the parameters, the name of the recording, and its path or URL, the `location`.
-        report: What became of it.
-        warnings: The warnings, a line each.
-    """
-
-    run: CampaignRun
-    report: RunReport
-    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,21 +114,17 @@ class Campaign:
     def _simulation(self, staging: str | None) -> Simulation:
         from carla_recap.sim import World  # noqa: F401 - which is an error here, and not in each run, without its extra
 
-        is_script = isinstance(self.function, (str, os.PathLike))
-        command = (self.python or sys.executable, self.function)
         return Simulation(
-            function=None if is_script else self.function,  # type: ignore[arg-type]
-            script=tuple(map(os.path.abspath, command)) if is_script else None,  # type: ignore[arg-type]
-            measure=partial(measured, scoring=self.scoring),
+            campaign=replace(
+                self,
+                function=self.function if callable(self.function) else os.path.abspath(self.function),  # noqa: PTH100
+                python=os.path.abspath(self.python or sys.executable),  # noqa: PTH100
+                maps=None if self.maps is None else os.path.abspath(self.maps),  # noqa: PTH100
+                date=seeded_date() if self.date is None else self.date,
+                client=None,
+            ),
             staging=staging,
-            date=seeded_date() if self.date is None else self.date,
-            town=self.town,
-            maps=None if self.maps is None else os.path.abspath(self.maps),  # noqa: PTH100
-            duration=self.duration,
-            additional_data=self.additional_data,
             made_with=made_with(self),
-            again=self.again,
-            carla=self.carla,
         )
 
 

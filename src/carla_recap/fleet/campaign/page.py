@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from carla_recap.fleet.campaign.report import CampaignRow
+    from carla_recap.fleet.campaign.runs import FinishedRun
     from carla_recap.queries.measures import Measure
 
 _MOST_ROWS: Final = 2000  # of the table
@@ -45,7 +45,7 @@ class _Axis:
 
     name: str  # the parameter
     labels: tuple[str, ...]  # a text for each
-    index: Callable[[CampaignRow], int]  # returns which one a row of the campaign belongs to
+    index: Callable[[FinishedRun], int]  # returns which one a row of the campaign belongs to
 
 
 class _Cell(NamedTuple):
@@ -71,22 +71,22 @@ class _HeatMap(NamedTuple):
     cells: list[_Cell]  # those that have runs
 
 
-def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, title: str) -> str:
+def campaign_page(rows: Sequence[FinishedRun], folder: Path, measure: Measure, title: str) -> str:
     """Return the page of a campaign in a folder, by rows and what they are compared by; the title says what is simulated."""
-    counts = Counter("error" if row.error is not None else "fail" if row.broken else "pass" for row in rows)
+    counts = Counter("error" if row.report.error is not None else "fail" if row.broken else "pass" for row in rows)
     said = [f"{len(rows):,} {'run' if len(rows) == 1 else 'runs'}"]
     said += [f"{counts['fail']:,} {'breaks' if counts['fail'] == 1 else 'break'} rules"] if counts["fail"] else []
     said += [f"{counts['error']:,} failed"] if counts["error"] else []
     has_rules = any(row.broken is not None for row in rows)
-    known = {name for row in rows for name in row.results}
+    known = {name for row in rows for name in row.report.results}
     scores = (each for each in (IMPACT_SPEED, SCORE, EFFICIENCY, SMOOTHNESS) if each.name in known)
     others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *scores]
     shown = [measure, *(each for each in others if each is not measure)]
     axes = _axes(rows)
     ordered = worst_first(rows, measure)
     columns = [each for each in shown if each is not BROKEN_RULES]
-    names = list(dict.fromkeys(name for row in ordered for name in row.parameters))
-    failed = [row for row in rows if row.error is not None]
+    names = list(dict.fromkeys(name for row in ordered for name in row.run.parameters))
+    failed = [row for row in rows if row.report.error is not None]
     content = {
         "maps": [] if axes is None else [_heat_map(rows, folder, each, *axes) for each in shown],
         "titles": ["seed", *names, *(each.title for each in columns)],
@@ -105,11 +105,11 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
 # --- heat maps -----------------------------------------------------------------------------------------------------------
 
 
-def _axes(rows: Sequence[CampaignRow]) -> tuple[_Axis, _Axis] | None:
+def _axes(rows: Sequence[FinishedRun]) -> tuple[_Axis, _Axis] | None:
     """Return the first two parameters that vary, the seed as the last one; None if there are no two."""
     values: dict[str, set[Any]] = defaultdict(set)
     for row in rows:
-        for name, value in (*row.parameters.items(), (SEED, row.seed)):
+        for name, value in row.run.values.items():
             values[name].add(value)
     names = [name for name in values if name != SEED and len(values[name]) > 1]
     names += [SEED] if len(values[SEED]) > 1 else []
@@ -120,31 +120,28 @@ def _axes(rows: Sequence[CampaignRow]) -> tuple[_Axis, _Axis] | None:
 
 
 def _axis(name: str, values: set[Any]) -> _Axis:
-    def of(row: CampaignRow) -> Any:
-        return row.seed if name == SEED else row.parameters.get(name)
-
     numbers = [value for value in values if isinstance(value, (int, float))]
     if len(values) <= _MOST_VALUES or len(numbers) < len(values):
         ordered = sorted(values, key=lambda value: (isinstance(value, str), value))
         places = {value: index for index, value in enumerate(ordered[: 4 * _MOST_VALUES])}
         labels = (*map(_label, places), *(["others"] if len(ordered) > len(places) else []))
-        return _Axis(name, labels, lambda row: places.get(of(row), len(places)))
+        return _Axis(name, labels, lambda row: places.get(row.run.values.get(name), len(places)))
     low, high = min(numbers), max(numbers)
     width = (high - low) / _BINS
     labels = tuple(_label(low + (index + 0.5) * width) for index in range(_BINS))
-    return _Axis(name, labels, lambda row: min(int((of(row) - low) / width), _BINS - 1))
+    return _Axis(name, labels, lambda row: min(int((float(row.run.values[name]) - low) / width), _BINS - 1))
 
 
 def _label(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else visible(text_of(value))
 
 
-def _heat_map(rows: Sequence[CampaignRow], folder: Path, measure: Measure, down: _Axis, across: _Axis) -> _HeatMap:
+def _heat_map(rows: Sequence[FinishedRun], folder: Path, measure: Measure, down: _Axis, across: _Axis) -> _HeatMap:
     """Return the worst value of each cell, which leads to the run that has it."""
-    cells: dict[tuple[int, int], list[CampaignRow]] = defaultdict(list)
+    cells: dict[tuple[int, int], list[FinishedRun]] = defaultdict(list)
     for row in rows:
         cells[down.index(row), across.index(row)].append(row)
-    known = [row.results[measure.name].value for row in rows if measure.name in row.results]
+    known = [row.report.results[measure.name].value for row in rows if measure.name in row.report.results]
     known = [value for value in known if math.isfinite(value)]
     span = (min(known), max(known)) if known else (0.0, 0.0)
     return _HeatMap(
@@ -164,17 +161,17 @@ def _heat_map(rows: Sequence[CampaignRow], folder: Path, measure: Measure, down:
 
 
 def _worst(
-    rows: Sequence[CampaignRow], folder: Path, measure: Measure, span: tuple[float, float]
+    rows: Sequence[FinishedRun], folder: Path, measure: Measure, span: tuple[float, float]
 ) -> tuple[str, str, str, str | None]:
     """Return the text, the tone, the tip and the address of the worst of some runs."""
-    there = [row for row in rows if row.error is None]
-    known = [row for row in there if measure.name in row.results]
+    there = [row for row in rows if row.report.error is None]
+    known = [row for row in there if measure.name in row.report.results]
     if not there:
-        return "failed", "none", f"{_run_text(rows[0])}: {rows[0].error}", None
-    worst = min(known, key=lambda row: severity(row.results, measure)) if known else there[0]
+        return "failed", "none", f"{_run_text(rows[0])}: {rows[0].report.error}", None
+    worst = min(known, key=lambda row: severity(row.report.results, measure)) if known else there[0]
     unit, tone, said = "", "unknown", "none"
     if known:
-        value = worst.results[measure.name].value
+        value = worst.report.results[measure.name].value
         low, high = span
         share = 0.0 if high <= low else (value - low) / (high - low)
         share = 1.0 - share if measure.extreme == "least" else share
@@ -190,17 +187,17 @@ def _short(label: str) -> str:
 # --- tables --------------------------------------------------------------------------------------------------------------
 
 
-def _cells(row: CampaignRow, names: Iterable[str], columns: Iterable[Measure]) -> list[str]:
+def _cells(row: FinishedRun, names: Iterable[str], columns: Iterable[Measure]) -> list[str]:
     """Return the cells of a run in the table, without its rules and its link."""
-    cells = [str(row.seed), *(_label(row.parameters[name]) if name in row.parameters else "" for name in names)]
+    cells = [str(row.run.seed), *(_label(row.run.parameters[name]) if name in row.run.parameters else "" for name in names)]
     for measure in columns:
-        found = row.results.get(measure.name)
+        found = row.report.results.get(measure.name)
         cells.append("none" if found is None else f"{found.value:.3g} {measure.unit}".rstrip())
     return [cell[:40] for cell in cells]
 
 
-def _run_text(row: CampaignRow) -> str:
-    return ", ".join(f"{name}={_label(value)[:60]}" for name, value in {SEED: row.seed, **row.parameters}.items())[:300]
+def _run_text(row: FinishedRun) -> str:
+    return ", ".join(f"{name}={_label(value)[:60]}" for name, value in row.run.values.items())[:300]
 
 
 def _address(address: str) -> str:

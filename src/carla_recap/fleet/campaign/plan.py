@@ -52,9 +52,14 @@ class CampaignRun(SourceFile):
     parameters: Mapping[str, Value] = field(default_factory=dict, hash=False)  # the values by name
 
     @property
+    def values(self) -> dict[str, Value]:
+        """The seed and the parameters."""
+        return {SEED: self.seed, **self.parameters}
+
+    @property
     def texts(self) -> dict[str, str]:
         """The seed and the parameters as texts, as its recording has them."""
-        return {SEED: str(self.seed)} | {name: text_of(value) for name, value in self.parameters.items()}
+        return {name: text_of(value) for name, value in self.values.items()}
 
 
 def text_of(value: Value) -> str:
@@ -177,8 +182,7 @@ def run_of(seed: int, parameters: Mapping[str, Value], out: str) -> CampaignRun:
 
 def file_name(seed: int, parameters: Mapping[str, Value]) -> str:
     """Return the name of the recording of a run: `seed=7,speed=8.mcap`, with other characters than these as %2F."""
-    pairs = {SEED: str(seed)} | {name: text_of(value) for name, value in parameters.items()}
-    name = ",".join(f"{key}={_escaped(value)}" for key, value in pairs.items())
+    name = ",".join(f"{key}={_escaped(text_of(value))}" for key, value in {SEED: seed, **parameters}.items())
     if len(name) > _LONGEST_FILE:
         name = f"{name[:_LONGEST_FILE]}~{sha256(name.encode()).hexdigest()[:16]}"
     return f"{name}.mcap"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +13,7 @@ from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result, cr
 from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.pages import PAGES, opening_of, write_incident_pages
 from carla_recap.formats.sources import is_remote
-from carla_recap.output.json import encoded
+from carla_recap.output.json import array_of, encoded
 from carla_recap.show.page import Opening
 from carla_recap.util.files import WholeFile
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from typing import Unpack
 
-    from carla_recap.fleet.campaign import FinishedRun
+    from carla_recap.fleet.campaign.runs import FinishedRun
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.engine import Processes
     from carla_recap.queries.measures import Measure
@@ -31,88 +31,58 @@ RUNS: Final = "campaign.json"
 INDEX: Final = "index.duckdb"
 PAGE: Final = "index.html"
 """The files that are written beside the recordings."""
+_REPORTED: Final = ("error", "details", "was_there", "seconds", "frames", "duration", "results")
+"""What is written of a run's report."""
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignRow:
-    """A run as a row of the answer."""
-
-    seed: int
-    parameters: Mapping[str, Any]  # the values by name
-    recording: str  # its path or URL
-    error: str | None  # why there is none, in one line; None if there is one
-    details: str  # the traceback, and what the run printed
-    was_there: bool  # whether the recording was there already
-    seconds: float  # the time that it took, in s
-    frames: int
-    duration: float  # in s
-    results: Mapping[str, Result]  # what was measured, by name
-    broken: tuple[str, ...] | None = None  # rules that it breaks, or that cannot be judged; None without rules
-    page: str | None = None  # the path of its incident page, relative to that of the campaign; None without one
-
-    def cells(self) -> dict[str, Any]:
-        """Return the row as columns: results and parameters have one each, such as `param.page` of a parameter `page`."""
-        first = {"recording": self.recording, "error": self.error, "seed": self.seed}
-        others = {
-            "frames": self.frames,
-            "duration": self.duration,
-            "seconds": round(self.seconds, 3),
-            **{name: self.results[name].value if name in self.results else None for name in RESULTS},
-            "rules": None if self.broken is None else " ".join(self.broken),
-            "page": self.page,
-        }
-        known = first | others
-        given = {f"param.{name}" if name in known else name: value for name, value in self.parameters.items()}
-        return first | given | others
-
-
-def row_of(finished: FinishedRun) -> CampaignRow:
-    """Return a finished run as a row."""
-    run, report = finished.run, finished.report
-    return CampaignRow(
-        seed=run.seed,
-        parameters=run.parameters,
-        recording=run.location,
-        error=report.error,
-        details=report.details,
-        was_there=report.was_there,
-        seconds=report.seconds,
-        frames=report.frames,
-        duration=report.duration,
-        results=report.results,
-    )
+def cells(row: FinishedRun) -> dict[str, Any]:
+    """Return a run as columns: results and parameters have one each, such as `param.page` of a parameter `page`."""
+    run, report = row.run, row.report
+    first = {"recording": run.location, "error": report.error, "seed": run.seed}
+    others = {
+        "frames": report.frames,
+        "duration": report.duration,
+        "seconds": round(report.seconds, 3),
+        **{name: report.results[name].value if name in report.results else None for name in RESULTS},
+        "rules": None if row.broken is None else " ".join(row.broken),
+        "page": row.page,
+    }
+    known = first | others
+    given = {f"param.{name}" if name in known else name: value for name, value in run.parameters.items()}
+    return first | given | others
 
 
 def judged(
-    rows: Sequence[CampaignRow], rules: RuleSet, *, road_map: str | None = None, **processes: Unpack[Processes]
-) -> Iterator[tuple[CampaignRow, CheckedRecording | None]]:
+    rows: Sequence[FinishedRun], rules: RuleSet, *, road_map: str | None = None, **processes: Unpack[Processes]
+) -> Iterator[tuple[FinishedRun, CheckedRecording | None]]:
     """Yield rows with the rules that their recordings break, each with the verdicts; None for a run without a recording."""
     from carla_recap.fleet.sources import find_sources
 
-    there = [row.recording for row in rows if row.error is None]
+    there = [row.run.location for row in rows if row.report.error is None]
     checked = check_sources(find_sources(there), rules, road_map=road_map, **processes)
     for row in rows:
-        if row.error is not None:
+        if row.report.error is not None:
             yield row, None
             continue
         found = next(checked)
         broken = tuple(verdict.rule for verdict in found.verdicts if verdict.status != "pass")
         opening = opening_of(found.verdicts)
         result = Result(float(len(broken)), opening.time, opening.actors[0] if opening.actors else None)
-        yield replace(row, broken=broken, results={**row.results, BROKEN_RULES.name: result}), found
+        report = replace(row.report, results={**row.report.results, BROKEN_RULES.name: result})
+        yield replace(row, broken=broken, report=report), found
 
 
-def worst_first(rows: Iterable[CampaignRow], measure: Measure) -> list[CampaignRow]:
+def worst_first(rows: Iterable[FinishedRun], measure: Measure) -> list[FinishedRun]:
     """Return the rows with recordings: those that break most rules first, then as `severity` has it."""
 
-    def key(row: CampaignRow) -> tuple[int, tuple[float, float, float]]:
-        return -len(row.broken or ()), severity(row.results, measure)
+    def key(row: FinishedRun) -> tuple[int, tuple[float, float, float]]:
+        return -len(row.broken or ()), severity(row.report.results, measure)
 
-    return sorted((row for row in rows if row.error is None), key=key)
+    return sorted((row for row in rows if row.report.error is None), key=key)
 
 
 def with_pages(
-    rows: Sequence[CampaignRow],
+    rows: Sequence[FinishedRun],
     folder: Path,
     measure: Measure,
     most: int,
@@ -120,13 +90,13 @@ def with_pages(
     checked: Mapping[str, CheckedRecording],
     road_map: str | None = None,
     jobs: int | None = None,
-) -> tuple[list[CampaignRow], list[str]]:
+) -> tuple[list[FinishedRun], list[str]]:
     """Write the incident pages of the worst runs, `most` of them, and remove all others; return the rows with their paths.
 
     Also return warnings. Rows are compared by the rules that they break, by recording in `checked`, then by the measure.
     """
     openings = {
-        row.recording: _opening(row, measure, checked.get(row.recording)) for row in worst_first(rows, measure)[:most]
+        row.run.location: _opening(row, measure, checked.get(row.run.location)) for row in worst_first(rows, measure)[:most]
     }
     written = write_incident_pages(openings, folder, road_map=road_map, force=True, jobs=jobs)
     found = dict(zip(openings, written, strict=True))
@@ -135,39 +105,45 @@ def with_pages(
         if path.relative_to(folder).as_posix() not in pages.values():
             path.unlink()
     warnings = [f"{recording}: {line}" for recording, each in found.items() for line in each.warnings]
-    return [replace(row, page=pages.get(row.recording)) for row in rows], warnings
+    return [replace(row, page=pages.get(row.run.location)) for row in rows], warnings
 
 
-def _opening(row: CampaignRow, measure: Measure, checked: CheckedRecording | None) -> Opening:
+def _opening(row: FinishedRun, measure: Measure, checked: CheckedRecording | None) -> Opening:
     if row.broken and checked is not None:
         return opening_of(checked.verdicts)
-    found = row.results.get(measure.name)
-    run = ", ".join(f"{name}={value}" for name, value in {"seed": row.seed, **row.parameters}.items())[:200]
+    found = row.report.results.get(measure.name)
+    run = ", ".join(f"{name}={value}" for name, value in row.run.values.items())[:200]
     if found is None:
         return Opening(notes=(run,))
     actors = () if found.actor is None else (found.actor,)
     value = f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
-    return Opening(found.time, actors, (f"{run}: {', '.join(filter(None, (crash_text(row.results), value)))}",))
+    return Opening(found.time, actors, (f"{run}: {', '.join(filter(None, (crash_text(row.report.results), value)))}",))
 
 
-def write_runs(rows: Iterable[CampaignRow], path: Path) -> None:
+def write_runs(rows: Iterable[FinishedRun], path: Path) -> None:
     """Write rows as JSON."""
     with WholeFile(path) as file:
         file.write(runs_as_json(rows).encode())
 
 
-def runs_as_json(rows: Iterable[CampaignRow]) -> str:
+def runs_as_json(rows: Iterable[FinishedRun]) -> str:
     """Return rows as JSON, an object with a list of them."""
-    return '{"runs": [\n' + ",\n".join(encoded(asdict(row)) for row in rows) + "\n]}\n"
+    return '{"runs": ' + "".join(array_of(encoded(_plain(row)) for row in rows)) + "}\n"
+
+
+def _plain(row: FinishedRun) -> dict[str, Any]:
+    run, report = row.run, {name: getattr(row.report, name) for name in _REPORTED}
+    about = {"seed": run.seed, "parameters": run.parameters, "recording": run.location}
+    return {**about, **report, "broken": row.broken, "page": row.page}
 
 
 def write_campaign_index(
-    rows: Sequence[CampaignRow], path: Path, *, road_map: str | None, **processes: Unpack[Processes]
+    rows: Sequence[FinishedRun], path: Path, *, road_map: str | None, **processes: Unpack[Processes]
 ) -> str | None:
     """Write the index of the recordings, and of no others; return why it is not written, if it is not."""
     from carla_recap.fleet.index.writing import write_index
 
-    there = [row.recording for row in rows if row.error is None]
+    there = [row.run.location for row in rows if row.report.error is None]
     try:
         write_index(there, path, measures=True, road_map=road_map, prune=True, **processes)
     except MissingExtra:
@@ -177,10 +153,10 @@ def write_campaign_index(
     return None
 
 
-def address_from(folder: Path, row: CampaignRow) -> str:
+def address_from(folder: Path, row: FinishedRun) -> str:
     """Return the address of a run's page, or else of its recording, relative to the folder of the campaign's page."""
     if row.page is not None:
         return row.page
-    if is_remote(row.recording):
-        return row.recording
-    return Path(os.path.relpath(row.recording, folder)).as_posix()
+    if is_remote(row.run.location):
+        return row.run.location
+    return Path(os.path.relpath(row.run.location, folder)).as_posix()

@@ -20,17 +20,19 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.fleet.campaign.origin import difference
 from carla_recap.fleet.campaign.plan import CampaignRun
+from carla_recap.fleet.campaign.results import measured
 from carla_recap.formats.sources import is_remote
 from carla_recap.recording import open_recording
 from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
+    from carla_recap.fleet.campaign import Campaign
     from carla_recap.fleet.campaign.results import Result
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.recording import Recording
-    from carla_recap.sim import Town, World
+    from carla_recap.sim import Town
 
 _ROUNDING: Final = 1e-6  # of a tick
 _LONGEST: Final = 4000  # characters of what a run printed, and of its traceback, that are kept
@@ -66,27 +68,37 @@ class RunReport:
 
 
 @dataclass(frozen=True, slots=True)
-class Simulation:
-    """What the runs of a campaign simulate, and how, see `Campaign`; called with each run in a worker process."""
+class FinishedRun:
+    """A run of a campaign, and what became of it.
 
-    function: Callable[..., object] | None  # None for a script
-    measure: Callable[..., Mapping[str, Result]]  # returns what is measured in a recording
+    Attributes:
+        run: The seed, the parameters, the name of the recording, and its path or URL, the `location`.
+        report: What became of it.
+        warnings: The warnings, a line each.
+        broken: The rules that its recording breaks, or that cannot be judged; None if it was not checked.
+        page: The path of its incident page, relative to that of the campaign; None without one.
+    """
+
+    run: CampaignRun
+    report: RunReport
+    warnings: tuple[str, ...] = ()
+    broken: tuple[str, ...] | None = None
+    page: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """The simulation of the runs of a campaign; called with each run in a worker process."""
+
+    campaign: Campaign  # whose paths are absolute
     staging: str | None  # the folder of recordings that are not complete; None for the one of temporary files
-    date: int
-    script: tuple[str, ...] | None = None  # the command of a script for CARLA's client, which gets a server instead
-    town: str | None = None
-    maps: str | None = None
-    duration: float = 0.0
-    additional_data: bool = False
-    made_with: Mapping[str, str] = field(default_factory=dict)  # is written into recordings, beside seed and parameters
-    again: bool = False
-    carla: str = "auto"
+    made_with: Mapping[str, str]  # is written into recordings, beside seed and parameters
 
     def prepare(self) -> None:
         """Load what all runs in this process need; what fails here fails in each run, with its reason."""
         from carla_recap.sim import World
 
-        with suppress(Exception), TemporaryDirectory() as folder, World(_town(self.town, self.maps)) as world:
+        with suppress(Exception), TemporaryDirectory() as folder, World(_town(self.campaign)) as world:
             world.recorder.start(Path(folder, "recording.mcap"), in_process=True)
             world.tick()
 
@@ -100,7 +112,7 @@ class Simulation:
                 other = difference(recording.header.parameters, self.made_with)
                 if other is None:
                     return self._measured(recording, run, RunReport(was_there=True), began)
-            if not self.again:
+            if not self.campaign.again:
                 return RunReport(other_origin=other)
         with TemporaryDirectory(prefix="run-", dir=self.staging) as folder:
             path = Path(folder, "recording.mcap")
@@ -120,7 +132,7 @@ class Simulation:
     def _measured(self, recording: Recording, run: CampaignRun, report: RunReport, began: float) -> RunReport:
         """Return a report with what is measured in the recording of a run."""
         try:
-            extent, results = recording.reader.extent(), self.measure(recording)
+            extent, results = recording.reader.extent(), measured(recording, self.campaign.scoring)
         except (RecapError, OSError, MemoryError):
             raise
         except Exception as error:  # whatever a recording causes, the other runs go on
@@ -144,7 +156,7 @@ class Simulation:
             if isinstance(error, SystemExit) and error.code == _TERMINATED:
                 raise
             line, details = _line(error, run), _details(error, output)
-            if self.script is not None and isinstance(error, RecapError) and details:
+            if not callable(self.campaign.function) and isinstance(error, RecapError) and details:
                 line = f"{line}: {single_line(details.splitlines()[-1])}"
             return RunReport(line, details)
         return RunReport(preparing=preparing)
@@ -155,21 +167,23 @@ class Simulation:
 
         random.seed(run.seed)
         np.random.seed(run.seed % _SEEDS)
-        town, process = _town(self.town, self.maps), os.getpid()
-        with World(town, seed=run.seed, date=self.date, maps=self.maps, parameters={**run.texts, **self.made_with}) as world:
-            world.recorder.start(path, self.additional_data, in_process=True)
+        campaign, process = self.campaign, os.getpid()
+        town, parameters = _town(campaign), {**run.texts, **self.made_with}
+        with World(town, seed=run.seed, date=campaign.date, maps=campaign.maps, parameters=parameters) as world:
+            world.recorder.start(path, campaign.additional_data, in_process=True)
             preparing = perf_counter() - began
             try:
-                if self.script is not None:
+                if callable(campaign.function):
+                    campaign.function(world, **run.parameters)
+                else:
                     from carla_recap.fleet.campaign.serving import run_script
 
-                    run_script([*self.script], world, run, path, additional_data=self.additional_data, carla=self.carla)
-                elif self.function is not None:
-                    self.function(world, **run.parameters)
+                    run_script(campaign, world, run, path)
             finally:
                 if os.getpid() != process:  # the function has forked this one
                     os._exit(0)
-            self._tick_on(world)
+            while world.elapsed < campaign.duration - _ROUNDING * world.delta:
+                world.tick()
             world.stop_recorder()
             if world.recorder.error is not None:
                 raise world.recorder.error
@@ -178,16 +192,16 @@ class Simulation:
                 raise RecapError("no tick was recorded; a function that ticks its world was expected, or a duration")
         return preparing
 
-    def _tick_on(self, world: World) -> None:
-        while world.elapsed < self.duration - _ROUNDING * world.delta:
-            world.tick()
+
+def _town(campaign: Campaign) -> Town:
+    return _load_town(campaign.town or "", None if campaign.maps is None else Path(campaign.maps))
 
 
 @lru_cache(maxsize=1)
-def _town(name: str | None, maps: str | None) -> Town:
+def _load_town(name: str, maps: Path | None) -> Town:
     from carla_recap.sim import load_town
 
-    return load_town(name or "", None if maps is None else Path(maps))
+    return load_town(name, maps)
 
 
 def _put(path: Path, address: str) -> None:

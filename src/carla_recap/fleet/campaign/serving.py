@@ -18,6 +18,7 @@ from carla_recap.util.processes import environment_of_user
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from carla_recap.fleet.campaign import Campaign
     from carla_recap.fleet.campaign.plan import CampaignRun
     from carla_recap.server.host import Client
     from carla_recap.sim.town.loading import Town
@@ -30,10 +31,10 @@ _DELTA: Final = 0.05  # s
 class _RunHost(Host):
     """The served world of a run: in synchronous mode until the script says otherwise; its last episode is recorded."""
 
-    def __init__(self, world: World, path: Path, *, additional_data: bool, carla: str) -> None:
-        super().__init__(world, release=release_named(carla))
+    def __init__(self, world: World, path: Path, campaign: Campaign) -> None:
+        super().__init__(world, release=release_named(campaign.carla))
         self._path = path
-        self._additional_data = additional_data
+        self._additional_data = campaign.additional_data
         self._synchronize()
 
     def begin_episode(self, town: Town, client: Client) -> None:
@@ -47,9 +48,9 @@ class _RunHost(Host):
         self.apply_settings(EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=_DELTA))
 
 
-def run_script(command: list[str], world: World, run: CampaignRun, path: Path, *, additional_data: bool, carla: str) -> None:
+def run_script(campaign: Campaign, world: World, run: CampaignRun, path: Path) -> None:
     """Serve a world, whose recorder is on, to a script until it ends; it gets the seed and parameters of a run."""
-    host = _RunHost(world, path, additional_data=additional_data, carla=carla)
+    host, command = _RunHost(world, path, campaign), [str(campaign.python), str(campaign.function)]
     with asyncio.Runner() as runner:
         code = runner.run(_session(host, command, run))
     if code:
