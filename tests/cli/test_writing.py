@@ -141,7 +141,7 @@ def test_folders_that_stay_empty_are_removed(runs):
 def test_a_folder_that_cannot_be_made_is_named(runs):
     (runs / "file").write_bytes(b"")
     message = messages(run("convert", "runs/a.log", "runs/file/below/"))[0].removeprefix("carla-recap: ")
-    assert message == "runs/a.log: runs/file/below: cannot be written: Not a directory"
+    assert message == "runs/file: is a file; a folder was expected, for the files of many recordings"
 
 
 @pytest.mark.parametrize("sources", [("runs/a.log",), ("runs/a.log", "runs/deep")])

@@ -13,7 +13,7 @@ import pytest
 
 from carla_recap import Header, RecapError, create_recording, create_writer
 from carla_recap.util import files
-from carla_recap.util.files import WholeFile, check_folder, new_folder, partials
+from carla_recap.util.files import WholeFile, check_folder, new_folder, partials, prepare_file
 from tests.samples import names_in
 
 
@@ -51,8 +51,15 @@ def test_missing_folders_of_a_file_are_made(tmp_path: Path) -> None:
         file.write(b"abc")
     path = tmp_path / "new" / "folder" / "a.bin"
     assert path.read_bytes() == b"abc"
-    with pytest.raises(RecapError, match=r"b\.bin: cannot be written: Not a directory"):
+    with pytest.raises(RecapError, match=r"a\.bin: is a file; a folder was expected"):
         WholeFile(path / "b.bin")
+
+
+def test_folders_that_were_made_for_a_file_go_with_it(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    WholeFile(tmp_path / "old" / "new" / "folder" / "a.bin").abort()
+    prepare_file(tmp_path / "other" / "b.bin")
+    assert [*tmp_path.rglob("*")] == [tmp_path / "old"]
 
 
 def test_a_file_that_fails_leaves_nothing(tmp_path: Path) -> None:

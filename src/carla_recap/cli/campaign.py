@@ -344,13 +344,13 @@ def _show(rows: Sequence[FinishedRun], measure: Measure, form: str | None) -> No
 
 
 def _csv(rows: Sequence[FinishedRun]) -> list[str]:
-    from carla_recap.fleet.campaign.report import cells
+    from carla_recap.fleet.campaign.report import columns
 
     text = io.StringIO()
-    names = list(dict.fromkeys(name for row in rows for name in cells(row)))
+    names = list(dict.fromkeys(name for row in rows for name in columns(row)))
     writer = csv_files.DictWriter(text, names, restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(map(cells, rows))
+    writer.writerows(map(columns, rows))
     return [text.getvalue()]
 
 

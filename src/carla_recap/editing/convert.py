@@ -11,7 +11,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, format_of, open_reader
 from carla_recap.formats.sources import is_remote, path_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.util.files import check_path, make_folder, writing
+from carla_recap.util.files import check_path, prepare_file, writing
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
@@ -144,10 +144,7 @@ def check_free(destination: Path | str, *, force: bool) -> None:
 
 
 def check_new(destination: Path | str, *, force: bool) -> None:
-    """Make the folder of a recording; `RecapError`: its suffix is of no format, or the destination is not free."""
+    """Raise `RecapError` if the suffix of a recording is of no format, or the destination is not free, or not writable."""
     format_of(destination)
     check_free(destination, force=force)
-    path = Path(destination)
-    if path.is_dir():
-        raise RecapError(f"{destination}: cannot be written: is a directory")
-    make_folder(path.parent)
+    prepare_file(destination)

@@ -94,8 +94,9 @@ class DestinationFolder:
             raise RecapError(f"{self.location}: names a file; a folder was expected, for the files of many recordings")
         if not is_remote(self.location):
             self.location = os.fspath(path_of(self.location))
-            if Path(self.location).exists() and not Path(self.location).is_dir():
-                raise RecapError(f"{self.location}: is a file; a folder was expected, for the files of many recordings")
+            there = next(each for each in (Path(self.location), *Path(self.location).parents) if each.exists())
+            if not there.is_dir():
+                raise RecapError(f"{there}: is a file; a folder was expected, for the files of many recordings")
         self.location = self.location.rstrip("/") or "/"
 
     def file_of(self, source: SourceFile) -> str:

@@ -27,7 +27,7 @@ _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0
 
 
 def prepare_junit(path: Path | str) -> None:
-    """Create the folder of a file of verdicts; raise `RecapError` if it cannot be written, or is there and is no XML.
+    """Raise `RecapError` if a file of verdicts cannot be written, or is there and is no XML.
 
     A file of verdicts that is there is replaced, as by all that write JUnit XML.
     """

@@ -71,6 +71,7 @@ class AtomicFile:
         self._next_sync = 0.0
         self._partial = _partial_path(self.path)
         self._is_unused = False
+        self._made: list[Path] = []  # the folders that were missing, the innermost first
 
     def _begin(self, write_start: Callable[[], None]) -> None:
         """Open the file and write its start; remove it again if that fails."""
@@ -79,8 +80,8 @@ class AtomicFile:
                 raise IsADirectoryError(EISDIR, "is a directory")
             if self.path.exists() and not self.path.is_file():
                 raise FileExistsError(EEXIST, "is not a regular file")
-            with suppress(FileExistsError):  # a file in place of the folder: what opens below says so
-                self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._made = [folder for folder in self.path.parents if not folder.exists()]
+            make_folder(self.path.parent)
             self._file = self._partial.open("xb", buffering=_BUFFER_SIZE)
             write_start()
             self._is_unused = True
@@ -115,10 +116,13 @@ class AtomicFile:
             raise
 
     def abort(self) -> None:
-        """Close the file, and remove what was written."""
+        """Close the file, and remove what was written, and the folders that were made for it."""
         self.abandon()
         with suppress(OSError):
             self._partial.unlink()
+        with suppress(OSError):  # of a folder in which something else is
+            for folder in self._made:
+                folder.rmdir()
 
     def abandon(self) -> Path:
         """Close the file unfinished, and return the partial file, which `recover` takes."""
@@ -247,7 +251,7 @@ def make_folder(folder: Path | str) -> None:
 
 
 def prepare_file(path: Path | str) -> None:
-    """Create the folder of a file that will be written; raise `RecapError` if it cannot be."""
+    """Raise `RecapError` if a file cannot be written."""
     check_path(path)
     with writing(path):
         WholeFile(path).abort()
@@ -275,7 +279,7 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
     folder = Path(folder)
     partial = _partial_path(folder.absolute())
     try:
-        partial.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(folder.parent)
         with scratch_folder(partial, partials(folder.absolute())):
             yield partial
             if folder.exists():

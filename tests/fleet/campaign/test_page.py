@@ -9,7 +9,7 @@ import pytest
 
 from carla_recap.fleet.campaign.page import campaign_page
 from carla_recap.fleet.campaign.plan import CampaignRun
-from carla_recap.fleet.campaign.report import worst_first
+from carla_recap.fleet.campaign.report import columns, worst_first
 from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, crash_text, result_named
 from carla_recap.fleet.campaign.runs import FinishedRun, RunReport
 
@@ -23,7 +23,7 @@ def row(seed, error=None, broken=None, page=None, value=None, **parameters):
         results[MEASURE.name] = Result(value, 1.5, 41)
     recording = f"/runs/seed={seed}," + ",".join(f"{name}={each}" for name, each in parameters.items()) + ".mcap"
     run = CampaignRun(recording, seed=seed, parameters=parameters)
-    return FinishedRun(run, RunReport(error, results={} if error else results), broken=broken, page=page)
+    return FinishedRun(run, RunReport(error, frames=20, results={} if error else results), broken=broken, page=page)
 
 
 def shown(rows):
@@ -72,7 +72,7 @@ def test_of_very_many_texts_the_last_ones_are_put_together():
 
 
 def test_a_parameter_that_is_named_like_a_column_has_one_of_its_own():
-    found = row(1, value=2.0, frames=7, speed=3, score="a", spawn=0).cells()
+    found = columns(row(1, value=2.0, frames=7, speed=3, score="a", spawn=0))
     assert (found["frames"], found["param.frames"], found["spawn"]) == (20, 7, 0)
     assert (found["speed"], found["param.speed"], found["score"], found["param.score"]) == (None, 3, None, "a")
     assert found["time_to_collision"] == 2.0

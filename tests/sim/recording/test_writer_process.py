@@ -85,7 +85,7 @@ def test_an_error_is_the_answer_and_the_next_recording_is_written(tmp_path: Path
     first, second, third, fourth = answers(
         ("begin", absent, HEADER, True), ("write", None), ("begin", tmp_path / "b.mcap", HEADER, True), ("close",)
     )
-    assert first == f"{absent}: cannot be written: Not a directory"
+    assert first == f"{absent.parent}: is a file; a folder was expected"
     assert second
     assert second.startswith("AssertionError: ")
     assert (third, fourth) == (None, None)

@@ -35,7 +35,7 @@ _REPORTED: Final = ("error", "details", "was_there", "seconds", "frames", "durat
 """What is written of a run's report."""
 
 
-def cells(row: FinishedRun) -> dict[str, Any]:
+def columns(row: FinishedRun) -> dict[str, Any]:
     """Return a run as columns: results and parameters have one each, such as `param.page` of a parameter `page`."""
     run, report = row.run, row.report
     first = {"recording": run.location, "error": report.error, "seed": run.seed}
