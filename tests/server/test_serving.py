@@ -32,7 +32,7 @@ def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     absent = tmp_path / "absent"
     assert f"Directory '{absent}' does not exist" in error("serve", "--port=0", "--maps", absent)
-    assert "the folder of recordings cannot be made" in error("serve", "--port=0", "--recordings", tmp_path / "file" / "x")
+    assert "/x: cannot be written: Not a directory" in error("serve", "--port=0", "--recordings", tmp_path / "file" / "x")
     message = error("serve", "--port=0", "--rerun-to", tmp_path / "file" / "x.rrd")
     assert message == f"{tmp_path / 'file'}: is a file; a folder was expected"
 

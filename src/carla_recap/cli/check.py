@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing, contextmanager
+from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -67,6 +67,7 @@ def check(
     from carla_recap.errors import RecapError
     from carla_recap.fleet.check import WORST_FIRST, check_sources, strict, worst
     from carla_recap.fleet.junit import prepare_junit, write_junit
+    from carla_recap.util.files import new_folder
 
     if html is None and clips:
         raise click.UsageError("--clips goes with --html.")
@@ -77,7 +78,7 @@ def check(
     checked, is_judged, failures = judged, False, []
     try:
         check_each = partial(check_sources, rules=rules, road_map=road_map)
-        with unwind_on_termination(), _folder_of_pages(html, force=force) as room:
+        with unwind_on_termination(), nullcontext() if html is None else new_folder(html, force=force) as room:
             with request.reading("checking", check_each) as (given, messages):
                 for each in given:
                     judged.append(strict(each) if is_strict else each)
@@ -148,19 +149,6 @@ def _write_pages(
             messages.add(each.recording, warnings)
     (room / "index.html").write_text(overview(checked, rules), "utf-8")
     return checked
-
-
-@contextmanager
-def _folder_of_pages(path: str | None, *, force: bool) -> Iterator[Path | None]:
-    """Yield a folder that appears when it is complete; None without a path."""
-    if path is None:
-        yield None
-        return
-    from carla_recap.util.files import check_folder, new_folder
-
-    check_folder(path, force=force)
-    with new_folder(path) as room:
-        yield room
 
 
 def _counts(checked: Sequence[CheckedRecording]) -> dict[str, int]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from carla_recap.cli import opening, options
+from carla_recap.cli import options
 from carla_recap.cli.output import UNMET, warn
 
 
@@ -25,10 +25,11 @@ def metrics(ctx: click.Context, metric: str, source: str, criteria: str | None, 
     """
     from carla_recap.errors import RecapError
     from carla_recap.metrics import MetricsLog, run_metric
+    from carla_recap.queries.roads import find_map_of
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        opendrive = opening.map_file_of(recording, road_map)
+        opendrive = find_map_of(recording.reader, road_map)
         if opendrive is None:
             warn(f"no map for {recording.header.map_name!r}: the metric's town_map is None; --map names the file")
         try:

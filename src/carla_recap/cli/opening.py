@@ -9,7 +9,6 @@ import click
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
@@ -138,10 +137,3 @@ def town_of(recording: Recording, path: str | None, start: float = 0.0, duration
     from carla_recap.town.mesh import load_town_of
 
     return load_town_of(recording, path, start, duration)
-
-
-def map_file_of(recording: Recording, path: str | None) -> Path | None:
-    """Return the OpenDRIVE file of a recording's town; None if it is unknown; see `road_map_of`."""
-    from carla_recap.queries.roads import find_map_of
-
-    return find_map_of(recording.reader, path)

@@ -99,12 +99,13 @@ def serve(
     from carla_recap.server.protocol import release_named
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World
+    from carla_recap.util.files import make_folder
 
     log_to_stderr()
     if attached and sys.stdin is None:
         raise RecapError("--attached needs a standard input")
     if recordings is not None:
-        _make_folder(recordings)
+        make_folder(recordings)
     foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
     if foxglove_port is not None and (rerun or rerun_to):
         raise click.UsageError("--foxglove or --rerun was expected, not both.")
@@ -143,15 +144,6 @@ def _viewer(to: str | None, follow: Follow | None, foxglove_port: int | None) ->
     from carla_recap.server.viewer import ViewerProcess
 
     return ViewerProcess(to, "hero" if follow is None else follow, foxglove_port)
-
-
-def _make_folder(folder: Path) -> None:
-    from carla_recap.util.files import reason_of
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{folder}: the folder of recordings cannot be made: {reason_of(error)}") from None
 
 
 def _announce(town: str, host: str, port: int, *, hint: bool) -> None:

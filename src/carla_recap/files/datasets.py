@@ -26,7 +26,7 @@ from carla_recap.sensors.kinds import SENSOR_TYPES
 from carla_recap.sensors.options import SensingKeywords, SensingOptions
 from carla_recap.sensors.rig import SensorRig, as_rig
 from carla_recap.sensors.sensing import sensed_frames
-from carla_recap.util.files import check_folder, new_folder
+from carla_recap.util.files import new_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -260,8 +260,7 @@ def world_points(sample: Sample) -> Floats:
 @contextmanager
 def dataset_folder(folder: Path | str, *, force: bool) -> Iterator[tuple[Path, Path]]:
     """Yield a folder for a dataset and one in it for parts, which is removed; the dataset appears at the end."""
-    check_folder(folder, force=force)
-    with new_folder(folder) as partial:
+    with new_folder(folder, force=force) as partial:
         parts = partial / _PARTS
         parts.mkdir()
         yield partial, parts

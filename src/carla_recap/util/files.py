@@ -270,12 +270,13 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
 
 
 @contextmanager
-def new_folder(folder: Path | str) -> Iterator[Path]:
+def new_folder(folder: Path | str, *, force: bool = True) -> Iterator[Path]:
     """Yield a folder beside the destination, which is moved there at the end, or raise `RecapError`.
 
-    If the destination exists, its files of the same names are replaced, and all others stay. What processes that were
-    killed have left beside it is removed.
+    If the destination exists, its files of the same names are replaced, and all others stay; without `force`, it has to be
+    empty. What processes that were killed have left beside it is removed.
     """
+    check_folder(folder, force=force)
     folder = Path(folder)
     partial = _partial_path(folder.absolute())
     try:
