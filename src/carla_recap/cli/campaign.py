@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from carla_recap.fleet.campaign import Campaign, FinishedRun
     from carla_recap.fleet.campaign.plan import ParameterRange, Value
     from carla_recap.fleet.campaign.results import Scoring
-    from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.engine import Processes
     from carla_recap.queries.measures import Measure
-    from carla_recap.rules.rule_sets import RuleSet
 
 _SHOWN: Final = 5  # of the worst runs, and of failed ones
 
@@ -98,6 +96,7 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
     """
     from carla_recap.errors import RecapError
     from carla_recap.fleet.campaign import Campaign
+    from carla_recap.fleet.campaign.report import judged, runs_as_json
     from carla_recap.fleet.campaign.results import SCORE, result_named
     from carla_recap.sim import load_town
 
@@ -132,12 +131,16 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
             raise
         if not rows:
             raise RecapError("no runs were made")
-        checked: dict[str, CheckedRecording] = {}
         if rules is not None:
-            rows, checked = _judged(rows, rules, request.road_map, processes)
+            with SourcesBar("checking", len(rows)) as bar:
+                rows = list(bar.counted(judged(rows, rules, road_map=request.road_map, **processes)))
+            for row in rows:
+                for line in row.checked.warnings if row.checked else ():
+                    warn(f"{row.run.location}: {line}")
         if folder is not None:
-            rows = _reported(rows, checked, folder, compared, request, processes)
-    _show(rows, compared, request.form)
+            rows = _reported(rows, folder, compared, request, processes)
+    json, text = (lambda: [runs_as_json(rows)]), (lambda: _say_worst(rows, compared))
+    emit(request.form, json=json, csv=lambda: _csv(rows), text=text)
     failed, broken = sum(row.report.error is not None for row in rows), sum(bool(row.broken) for row in rows)
     there = sum(row.report.was_there for row in rows)
     note(
@@ -286,27 +289,8 @@ def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator
         note(f"ended after {failed} failed runs in a row; --keep-going makes the others, too")
 
 
-def _judged(
-    rows: Sequence[FinishedRun], rules: RuleSet, road_map: str | None, processes: Processes
-) -> tuple[list[FinishedRun], dict[str, CheckedRecording]]:
-    from carla_recap.fleet.campaign.report import judged
-
-    found: list[FinishedRun] = []
-    checked: dict[str, CheckedRecording] = {}
-    with SourcesBar("checking", len(rows)) as bar:
-        for row, verdicts in bar.counted(judged(rows, rules, road_map=road_map, **processes)):
-            found.append(row)
-            if verdicts is not None:
-                checked[row.run.location] = verdicts
-                with bar.aside():
-                    for line in verdicts.warnings:
-                        warn(f"{row.run.location}: {line}")
-    return found, checked
-
-
 def _reported(
     rows: list[FinishedRun],
-    checked: dict[str, CheckedRecording],
     folder: Path,
     measure: Measure,
     request: CampaignRequest,
@@ -318,7 +302,7 @@ def _reported(
     from carla_recap.util.files import WholeFile
 
     road_map = request.road_map
-    rows, warnings = with_pages(rows, folder, measure, request.pages, checked=checked, road_map=road_map, jobs=request.jobs)
+    rows, warnings = with_pages(rows, folder, measure, request.pages, road_map=road_map, jobs=request.jobs)
     for line in warnings:
         warn(line)
     if any(row.report.error is None for row in rows):
@@ -334,13 +318,6 @@ def _reported(
         file.write(campaign_page(rows, folder, measure, title).encode("utf-8", "backslashreplace"))
     wrote(folder / PAGE)
     return rows
-
-
-def _show(rows: Sequence[FinishedRun], measure: Measure, form: str | None) -> None:
-    """Print all rows as JSON or CSV, or the worst ones."""
-    from carla_recap.fleet.campaign.report import runs_as_json
-
-    emit(form, json=lambda: [runs_as_json(rows)], csv=lambda: _csv(rows), text=lambda: _say_worst(rows, measure))
 
 
 def _csv(rows: Sequence[FinishedRun]) -> list[str]:

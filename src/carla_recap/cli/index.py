@@ -11,6 +11,7 @@ from datetime import date, datetime, time
 from decimal import Decimal
 from itertools import chain, islice
 from json import JSONEncoder
+from types import NoneType
 from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeVar
 
 import click
@@ -206,7 +207,8 @@ def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
     console = Console()
     count = 0
     while page := list(islice(rows, _PAGE)):
-        numbers = [all(value is None or _is_number(value) for value in values) for values in zip(*page, strict=True)]
+        kinds = [set(map(type, values)) for values in zip(*page, strict=True)]
+        numbers = [each <= {int, float, Decimal, NoneType} for each in kinds]
         columns = [
             TableColumn(name, is_number=is_number, narrowed="never" if is_number else "words", least=1)
             for name, is_number in zip(names, numbers, strict=True)
@@ -230,10 +232,6 @@ def _list_of(names: list[str], row: tuple[Any, ...]) -> Table:
         table.add_row(Text(visible(name), style="bold"), Text(visible(_shown(value))))
     table.add_row()
     return table
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | Decimal) and not isinstance(value, bool)
 
 
 def _shown(value: Any) -> str:

@@ -127,7 +127,7 @@ def score(
     scores = [outcome.value for outcome in outcomes if outcome.value is not None]
     if scores or form == "json":
         text = partial(_lines, scores[0]) if len(scores) == 1 else partial(_text, scores)
-        table = text if len(scores) == 1 else partial(_table, scores)
+        table = text if len(scores) == 1 else lambda: print_table(_COLUMNS, _rows(scores))
         emit(form, json=lambda: indented(checkpoint(scores)), text=text, table=table)
     judged = [checked(outcome, allowed) for outcome in outcomes]
     if junit:
@@ -184,10 +184,6 @@ def _cost(kind: str, share: float, formula: Formula) -> str:
 def _text(scores: Sequence[Score]) -> Iterator[str]:
     headings = tuple(column.heading for column in _COLUMNS)
     return ("\t".join(row) + "\n" for row in (headings, *_rows(scores)))
-
-
-def _table(scores: Sequence[Score]) -> None:
-    print_table(_COLUMNS, _rows(scores))
 
 
 def _rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:

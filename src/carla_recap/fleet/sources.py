@@ -142,7 +142,8 @@ def _expanded(source: str) -> Iterator[SourceFile]:
         expected = "a folder with .log or .mcap files was expected"
     elif has_magic(path) and not Path(path).exists():
         globbed = glob(path, recursive=True)  # noqa: PTH207 - which takes no absolute pattern
-        matched = sorted({_place(each): each for each in sorted(globbed, key=_depth, reverse=True)}.values())
+        deepest_first = sorted(globbed, key=lambda path: path.count(os.sep), reverse=True)
+        matched = sorted({_place(each): each for each in deepest_first}.values())
         found = [each for match in matched for each in (_in_folder(match, errors) if Path(match).is_dir() else [match])]
         folder = os.path.dirname(path[: _MAGIC.search(path).start()])  # type: ignore[union-attr]  # noqa: PTH120
         expected = "a glob that matches recordings was expected"
@@ -185,10 +186,6 @@ def _real_folder(folder: str) -> str:
 def _place(path: str) -> str:
     """Return the path of a file in its folder itself, whatever links lead there; a link to a file stays one."""
     return os.path.join(_real_folder(os.path.dirname(path)), os.path.basename(path))  # noqa: PTH118, PTH119, PTH120
-
-
-def _depth(path: str) -> int:
-    return path.count(os.sep)
 
 
 def _described(location: str, name: str) -> SourceFile:

@@ -12,6 +12,8 @@ from carla_recap.fleet.campaign.plan import CampaignRun
 from carla_recap.fleet.campaign.report import columns, worst_first
 from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, crash_text, result_named
 from carla_recap.fleet.campaign.runs import FinishedRun, RunReport
+from carla_recap.fleet.check import CheckedRecording
+from carla_recap.rules.rule_sets import Verdict
 
 NASTY = "</style></p><img src=x onerror=alert(1)>\"'&amp;\x1b"
 MEASURE = result_named("ttc")
@@ -23,7 +25,9 @@ def row(seed, error=None, broken=None, page=None, value=None, **parameters):
         results[MEASURE.name] = Result(value, 1.5, 41)
     recording = f"/runs/seed={seed}," + ",".join(f"{name}={each}" for name, each in parameters.items()) + ".mcap"
     run = CampaignRun(recording, seed=seed, parameters=parameters)
-    return FinishedRun(run, RunReport(error, frames=20, results={} if error else results), broken=broken, page=page)
+    verdicts = [Verdict(rule, "fail", "") for rule in broken or ()]
+    checked = None if broken is None else CheckedRecording(recording, tuple(verdicts))
+    return FinishedRun(run, RunReport(error, frames=20, results={} if error else results), checked=checked, page=page)
 
 
 def shown(rows):

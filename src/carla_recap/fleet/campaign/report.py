@@ -18,11 +18,10 @@ from carla_recap.show.page import Opening
 from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from typing import Unpack
 
     from carla_recap.fleet.campaign.runs import FinishedRun
-    from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.engine import Processes
     from carla_recap.queries.measures import Measure
     from carla_recap.rules.rule_sets import RuleSet
@@ -54,22 +53,20 @@ def columns(row: FinishedRun) -> dict[str, Any]:
 
 def judged(
     rows: Sequence[FinishedRun], rules: RuleSet, *, road_map: str | None = None, **processes: Unpack[Processes]
-) -> Iterator[tuple[FinishedRun, CheckedRecording | None]]:
-    """Yield rows with the rules that their recordings break, each with the verdicts; None for a run without a recording."""
+) -> Iterator[FinishedRun]:
+    """Yield rows with the verdicts of rules on their recordings."""
     from carla_recap.fleet.sources import find_sources
 
     there = [row.run.location for row in rows if row.report.error is None]
     checked = check_sources(find_sources(there), rules, road_map=road_map, **processes)
     for row in rows:
         if row.report.error is not None:
-            yield row, None
+            yield row
             continue
-        found = next(checked)
-        broken = tuple(verdict.rule for verdict in found.verdicts if verdict.status != "pass")
-        opening = opening_of(found.verdicts)
-        result = Result(float(len(broken)), opening.time, opening.actors[0] if opening.actors else None)
-        report = replace(row.report, results={**row.report.results, BROKEN_RULES.name: result})
-        yield replace(row, broken=broken, report=report), found
+        verdicts = next(checked)
+        found, opening = replace(row, checked=verdicts), opening_of(verdicts.verdicts)
+        result = Result(float(len(found.broken or ())), opening.time, opening.actors[0] if opening.actors else None)
+        yield replace(found, report=replace(row.report, results={**row.report.results, BROKEN_RULES.name: result}))
 
 
 def worst_first(rows: Iterable[FinishedRun], measure: Measure) -> list[FinishedRun]:
@@ -87,17 +84,14 @@ def with_pages(
     measure: Measure,
     most: int,
     *,
-    checked: Mapping[str, CheckedRecording],
     road_map: str | None = None,
     jobs: int | None = None,
 ) -> tuple[list[FinishedRun], list[str]]:
     """Write the incident pages of the worst runs, `most` of them, and remove all others; return the rows with their paths.
 
-    Also return warnings. Rows are compared by the rules that they break, by recording in `checked`, then by the measure.
+    Also return warnings. Rows are compared by the rules that they break, then by the measure.
     """
-    openings = {
-        row.run.location: _opening(row, measure, checked.get(row.run.location)) for row in worst_first(rows, measure)[:most]
-    }
+    openings = {row.run.location: _opening(row, measure) for row in worst_first(rows, measure)[:most]}
     written = write_incident_pages(openings, folder, road_map=road_map, force=True, jobs=jobs)
     found = dict(zip(openings, written, strict=True))
     pages = {recording: each.page for recording, each in found.items()}
@@ -108,9 +102,9 @@ def with_pages(
     return [replace(row, page=pages.get(row.run.location)) for row in rows], warnings
 
 
-def _opening(row: FinishedRun, measure: Measure, checked: CheckedRecording | None) -> Opening:
-    if row.broken and checked is not None:
-        return opening_of(checked.verdicts)
+def _opening(row: FinishedRun, measure: Measure) -> Opening:
+    if row.broken and row.checked:
+        return opening_of(row.checked.verdicts)
     found = row.report.results.get(measure.name)
     run = ", ".join(f"{name}={value}" for name, value in row.run.values.items())[:200]
     if found is None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.campaign import Campaign
     from carla_recap.fleet.campaign.results import Result
+    from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.recording import Recording
     from carla_recap.sim import Town
@@ -75,15 +76,22 @@ class FinishedRun:
         run: The seed, the parameters, the name of the recording, and its path or URL, the `location`.
         report: What became of it.
         warnings: The warnings, a line each.
-        broken: The rules that its recording breaks, or that cannot be judged; None if it was not checked.
+        checked: The verdicts of rules on its recording; None without rules.
         page: The path of its incident page, relative to that of the campaign; None without one.
     """
 
     run: CampaignRun
     report: RunReport
     warnings: tuple[str, ...] = ()
-    broken: tuple[str, ...] | None = None
+    checked: CheckedRecording | None = None
     page: str | None = None
+
+    @property
+    def broken(self) -> tuple[str, ...] | None:
+        """The rules that its recording breaks, or that cannot be judged; None without rules."""
+        if self.checked is None:
+            return None
+        return tuple(verdict.rule for verdict in self.checked.verdicts if verdict.status != "pass")
 
 
 @dataclass(frozen=True, slots=True)
