@@ -12,6 +12,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.many import SourcesRequest, is_one
 from carla_recap.cli.output import counted, end, json_of_written, note, wrote
+from carla_recap.fleet.outcomes import WrittenFile
 from carla_recap.util.files import size_of
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.exports import ExportFormat
     from carla_recap.fleet.datasets import WritePart
     from carla_recap.fleet.destinations import Write
-    from carla_recap.fleet.outcomes import Outcome, WrittenFile
+    from carla_recap.fleet.outcomes import Outcome
 
 _options = options.together(
     click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1),
@@ -88,66 +89,58 @@ class WriteRequest(SourcesRequest):
     def write_many(self, write: Write, suffix: str, title: str) -> None:
         """Write a file for each recording into the folder, and say so; end the program with exit code 2 if one fails."""
         from carla_recap.fleet.destinations import DestinationFolder, write_files
-        from carla_recap.scene.models import models_directory
 
-        models = models_directory()
-        write = write if models is None else partial(_with_models, models, write)
         folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)
-        self._run(partial(write_files, write, folder=folder), title, folder.skipped, _say)
+        self._run(partial(write_files, _anywhere(write), folder=folder), title, folder.skipped)
 
     def write_dataset(self, write: WritePart, form: ExportFormat, split: Mapping[str, float] | None) -> None:
         """Write a dataset of all recordings, and say so; end the program with exit code 2 if one fails."""
         from carla_recap.fleet.datasets import write_dataset
-        from carla_recap.scene.models import models_directory
 
-        models = models_directory()
-        write = write if models is None else partial(_with_models, models, write)
-        parts: list[WrittenFile] = []
-
-        def say() -> None:
-            frames, seconds = sum(part.frames or 0 for part in parts), sum(part.seconds or 0.0 for part in parts)
-            about = counted(len(parts), "recording")
-            wrote(self.destination, about, frames=frames, seconds=seconds, size=size_of(self.destination))
-
-        written = partial(write_dataset, write, folder=self.destination, form=form, split=split, force=self.force)
-        self._run(written, "sensing", [], parts.append, say)
+        how: dict[str, Any] = {"folder": self.destination, "form": form, "split": split, "force": self.force}
+        self._run(partial(write_dataset, _anywhere(write), **how), "sensing")
 
     def _run(
-        self,
-        write: Callable[..., Generator[Outcome[WrittenFile]]],
-        title: str,
-        skipped: list[str],
-        take: Callable[[WrittenFile], object],
-        finish: Callable[[], object] = lambda: None,
+        self, write: Callable[..., Generator[Outcome[WrittenFile]]], title: str, skipped: list[str] | None = None
     ) -> None:
-        """Go through the recordings, and say what fails; end the program with exit code 2 if one does.
+        """Go through the recordings, and say what is written and what fails; end the program with exit code 2 if one does.
 
-        `take` is called with what is written of each, and `finish` when all is; the files that are skipped grow meanwhile.
+        The files that are skipped grow meanwhile; None: the recordings are written together.
         """
-        written, failed, hints = 0, list[dict[str, str]](), dict[str, None]()
+        parts, failed = list[WrittenFile](), list[dict[str, str]]()
         with self.reading(title, write) as (outcomes, messages):
             for outcome in outcomes:
                 messages.add(outcome.source.location, outcome.warnings, outcome.error)
                 if outcome.value is None:
                     failed.append({"source": outcome.source.location, "error": str(outcome.error)})
-                else:
-                    written += 1
-                    hints |= dict.fromkeys(outcome.value.hints)
+                    continue
+                parts.append(outcome.value)
+                if skipped is not None:
                     with messages.bar.aside():
-                        take(outcome.value)
+                        _say(outcome.value)
         messages.end()
-        finish()
-        for hint in hints:
+        if skipped is None:
+            frames, seconds = sum(part.frames or 0 for part in parts), sum(part.seconds or 0.0 for part in parts)
+            size, about = size_of(self.destination), counted(len(parts), "recording")
+            wrote(self.destination, about, frames=frames, seconds=seconds, size=size)
+        for hint in dict.fromkeys(hint for part in parts for hint in part.hints):
             note(hint)
-        note(f"recordings: {written} done, {len(skipped)} skipped, {len(failed)} failed")
+        note(f"recordings: {len(parts)} done, {len(skipped or ())} skipped, {len(failed)} failed")
         if (listed := json_of_written()) is not None:
-            listed |= {"skipped": list(skipped), "failed": failed}
+            listed |= {"skipped": list(skipped or ()), "failed": failed}
         if failed:
             end(failed=True)
 
 
+def _anywhere(write: Callable[..., WrittenFile]) -> Callable[..., WrittenFile]:
+    """Return what writes a file in another process, with the user's own models there, too."""
+    from carla_recap.scene.models import models_directory
+
+    models = models_directory()
+    return write if models is None else partial(_with_models, models, write)
+
+
 def _with_models(directory: Path, write: Callable[..., WrittenFile], *arguments: Any) -> WrittenFile:
-    """Write a file in another process, with the user's own models there, too."""
     from carla_recap.scene.models import use_models
 
     use_models(directory)
