@@ -107,9 +107,9 @@ def test_on_a_terminal_verdicts_are_a_table(runs):
 
 def test_a_junit_file_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
     (tmp_path / "file").write_bytes(b"a file of mine")
-    for path, said in {"file/out.xml": "cannot be written: ", "": "cannot be written: ", "file": "is no XML"}.items():
+    for path, said in {"file/out.xml": "is a file; a folder", "": "cannot be written: ", "file": "is no XML"}.items():
         message = error("check", "absent.mcap", "--rules", RULES, "--junit", tmp_path / path)
-        assert message.startswith(f"{tmp_path / path}: ")
+        assert message.startswith(f"{tmp_path / path.removesuffix('/out.xml')}: ")
         assert said in message
 
 
@@ -153,7 +153,7 @@ def test_a_folder_of_pages_that_is_not_empty_is_left_alone_without_force(runs, t
 
 def test_a_folder_of_pages_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
     file = save(tmp_path / "file", b"")
-    assert "cannot be written" in error("check", "absent.mcap", "--rules", RULES, "--html", file / "out")
+    assert f"{file}: is a file" in error("check", "absent.mcap", "--rules", RULES, "--html", file / "out")
     assert "is a file; a folder was expected" in error("check", "absent.mcap", "--rules", RULES, "--html", file)
 
 
