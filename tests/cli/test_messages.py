@@ -211,7 +211,7 @@ def test_a_table_fits_in_any_terminal():
     columns = [recording, TableColumn("Id", is_number=True), error]
     for width in (1, 10, 40, 200):
         stream = io.StringIO()
-        print_table(Console(file=stream, width=width), columns, [["runs/" + "a" * 90, "1", "it is " * 20]])
+        print_table(columns, [["runs/" + "a" * 90, "1", "it is " * 20]], Console(file=stream, width=width))
         assert max(map(len, stream.getvalue().splitlines())) <= width
 
 

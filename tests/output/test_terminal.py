@@ -12,7 +12,7 @@ from carla_recap.output.terminal import TableColumn, actor_style, brief_actor, p
 
 def shown(columns: list[TableColumn], cells: list[str], width: int) -> list[str]:
     console = Console(file=io.StringIO(), width=width, color_system=None)
-    print_table(console, columns, [cells])
+    print_table(columns, [cells], console)
     return [line.rstrip() for line in console.file.getvalue().splitlines()]  # type: ignore[attr-defined]
 
 

@@ -116,7 +116,7 @@ def test_what_a_killed_campaign_has_left_is_removed(tmp_path):
 @pytest.mark.parametrize("name", ["file", "file/below", "x" * 300])
 def test_a_folder_that_cannot_be_written_is_an_error(tmp_path, name):
     (tmp_path / "file").touch()
-    with pytest.raises(RecapError, match=name[:9]):
+    with pytest.raises(RecapError, match=name[:4]):
         list(campaign(functions.drive, seeds=[1], out=tmp_path / name, jobs=1))
 
 
