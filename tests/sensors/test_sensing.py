@@ -234,6 +234,13 @@ def test_an_imu_measures_the_motion_of_its_place(
         assert float(frame.samples["speed"].data) == pytest.approx(10, abs=0.05)
 
 
+def test_ticks_are_counted_from_the_first_moment(tmp_path: Path) -> None:
+    rig = SensorRig.of([{"type": "sensor.speedometer", "id": "speed", "sensor_tick": 0.1}, *MOTION.to_dicts()[:1]])
+    with carla_recap.open_recording(circle(tmp_path / "circle.mcap", velocities=True)) as recording:
+        found = ["speed" in frame.samples for frame in sense(recording, rig, start=0.55, duration=0.2)]
+    assert found == [True, False, True, False, True]
+
+
 def test_a_speedometer_measures_along_the_carrier_however_it_is_mounted(tmp_path: Path) -> None:
     rig = SensorRig.of([{"type": "sensor.speedometer", "id": "speed", "yaw": 90.0, "pitch": 30.0}])
     with carla_recap.open_recording(circle(tmp_path / "circle.mcap", velocities=True)) as recording:
