@@ -84,6 +84,12 @@ def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
         assert the_line(done.stderr).endswith(str(told))
 
 
+def test_a_staged_scene_has_the_hero_of_the_scene_alone(tmp_path):
+    assert run("record", tmp_path / "a.mcap", "--crash", "--hero", *FEW).returncode == 0
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert len(recording.heroes) == 1
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_completes_the_recording(tmp_path, number):
     path = tmp_path / "a.mcap"
