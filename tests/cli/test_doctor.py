@@ -102,7 +102,7 @@ def test_files_in_place_of_folders_are_named(tmp_path):
     assert found["cache"] == {**NO_CACHE, "folder": str(file), "error": "Not a directory"}
     shown = text(CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
     assert f"\n  none           {file}: Not a directory\n" in shown
-    assert "\n  size           Not a directory\n" in shown
+    assert f"\n  folder         {file}\n  size           Not a directory\n" in shown
 
 
 def test_a_broken_package_is_a_line(tmp_path):
