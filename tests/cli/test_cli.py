@@ -345,6 +345,13 @@ def test_the_reader_of_a_pipe_closes_it(sources):
         assert process.wait(PATIENCE) in (0, -signal.SIGPIPE)  # 0: the pipe had room for all
 
 
+@pytest.mark.parametrize("closed", [1, 2])
+def test_an_answer_without_a_place_is_an_error(closed):
+    command = ["sh", "-c", f'"$@" {closed}>&-', "sh", COMMAND, "info", CROSSING]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, check=False, timeout=PATIENCE)
+    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
+
+
 # --- help, version, start ----------------------------------------------------------------------------------
 
 
