@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.models import Model
     from carla_recap.util.arrays import Floats
 
-    Table = tuple[Any, np.dtype[np.void], str]  # a buffer of rows, their fields, and whether each is for an instance: "/i"
+    BufferOfRows = tuple[Any, np.dtype[np.void], str]  # with the fields of a row, and "/i" where each is for an instance
 
 CORNER: Final = np.dtype([("corner", "2f4")])
 """A corner of the image, from -1 to 1."""
@@ -100,7 +100,7 @@ class GroundBuffers:
         self._commands[:, 2] = np.cumsum([0, *corners])[:-1]
         self._commands[:, 3] = np.cumsum([0, *counts])[:-1]
         triangles = np.concatenate([np.zeros((0, 3), np.uint32), *(tile.triangles for tile in tiles)])
-        self.tables: list[Table] = [
+        self.tables: list[BufferOfRows] = [
             (context.buffer(vertices.tobytes() or bytes(shaders.VERTEX.itemsize)), shaders.VERTEX, "")
         ]
         self.triangles = context.buffer(triangles.astype(np.uint32).tobytes() or bytes(12))
@@ -128,7 +128,7 @@ class ModelBuffers:
         self.triangles = context.buffer(mesh.triangles.astype(np.uint32).tobytes() or bytes(12))
         self._instances = context.buffer(reserve=shaders.INSTANCE.itemsize * 64, dynamic=True)
         self._previous = context.buffer(reserve=shaders.PREVIOUS.itemsize * 64, dynamic=True)
-        self.tables: list[Table] = [
+        self.tables: list[BufferOfRows] = [
             (context.buffer(vertices.tobytes() or bytes(shaders.MODEL_VERTEX.itemsize)), shaders.MODEL_VERTEX, ""),
             (self._instances, shaders.INSTANCE, "/i"),
             (self._previous, shaders.PREVIOUS, "/i"),
@@ -167,7 +167,7 @@ def image_format(kind: ImageKind, width: int, height: int) -> tuple[tuple[int, i
     return (height, width, 2 if flow else 4), np.float32 if flow else np.uint8
 
 
-def contents_for(program: Any, tables: Iterable[Table]) -> list[tuple[Any, ...]]:
+def contents_for(program: Any, tables: Iterable[BufferOfRows]) -> list[tuple[Any, ...]]:
     """Return the buffers that a program reads, with their formats; it may not read all of their fields."""
     contents = []
     for buffer, dtype, divisor in tables:
