@@ -117,7 +117,10 @@ def local_cluster(workers: int) -> Iterator[Any]:
         "distributed.worker.profile.enabled": False,  # it keeps what it has seen, 100 MB for each worker
     }
     options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
-    with dask.config.set(settings), LocalCluster(workers, threads_per_worker=1, processes=True, **options) as cluster:
+    with (
+        dask.config.set(settings),
+        LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **options) as cluster,
+    ):
         yield cluster
 
 
