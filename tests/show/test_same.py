@@ -83,6 +83,20 @@ def parked_below() -> list[dict]:
     return frames
 
 
+def nowhere() -> list[dict]:
+    """Return frames of two cars beside the hero, which brake, and whose poses are unknown: for 2 s, and at either end."""
+    frames: list[dict] = []
+    for number in range(60):
+        known = [20 <= number < 40, not 20 <= number < 40]
+        cars = [
+            pose(id, 3000, 350 * id) if is_known else pose(id, math.nan) for id, is_known in zip((2, 3), known, strict=True)
+        ]
+        controls = [(1, 0.0, 0.5, 0.0, 0, 1), *((id, 0.0, 0.0, 0.7, 0, 1) for id in (2, 3))]
+        frames.append({"transforms": [pose(1, 50 * number), *cars], "vehicle_controls": controls})
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2), spawn(3)]
+    return frames
+
+
 def in_the_way() -> list[dict]:
     """Return frames of a fire engine close behind the hero, which falls back after 3 s, and a walker close ahead of it."""
     frames: list[dict] = []
@@ -132,7 +146,13 @@ def tracks() -> str:
     return "\n".join(rows) + "\n"
 
 
-SCRIPTS = {"parked below": parked_below, "in the way": in_the_way, "without a spawn": without_a_spawn, "lives": lives}
+SCRIPTS = {
+    "parked below": parked_below,
+    "nowhere": nowhere,
+    "in the way": in_the_way,
+    "without a spawn": without_a_spawn,
+    "lives": lives,
+}
 
 
 @pytest.fixture(scope="module", params=["crash", "crash from the middle", "junction", "real", "import", *SCRIPTS])
@@ -460,6 +480,14 @@ def test_a_parked_car_is_there_once_it_is_on_the_road(shown):
     times, found = shown
     for seen_by in found.values():
         assert [2 in each.places for each in seen_by] == [time > 1.95 for time in times]
+
+
+@pytest.mark.parametrize("recorded", ["nowhere"], indirect=True, scope="module")
+def test_a_car_is_there_while_its_pose_is_known(shown):
+    times, found = shown
+    for seen_by in found.values():
+        assert [2 in each.places for each in seen_by] == [1.95 < time < 3.95 for time in times]
+        assert [3 in each.places for each in seen_by] == [not 1.95 < time < 3.95 for time in times]
 
 
 def test_verdicts_and_incidents_have_the_same_states(tmp_path):

@@ -129,37 +129,28 @@ class SceneDescription:
 
     @cached_property
     def _everywhere(self) -> tuple[Floats, Booleans]:
-        return self.places_at(slice(None))
-
-    def places_at(self, rows: Indices | slice) -> tuple[Floats, Booleans]:
-        """Return `poses` and `shown` in some of the scenes."""
-        places, others, recorded = self._places, self._places.rows < 0, self.recorded_poses[rows]
-        nothing = np.empty((len(recorded), len(self.ids), 6))
-        poses = nothing if others.all() else recorded.take(places.rows, axis=1)
+        places, others = self._places, self._places.rows < 0
+        nothing = np.empty((len(self), len(self.ids), 6))
+        poses = nothing if others.all() else self.recorded_poses.take(places.rows, axis=1)
         poses[:, others] = places.standing[others]
         for row, id in places.attached:
             pose = self.batch.pose_of(id)
-            poses[:, row] = np.nan if pose is None else right_handed(pose[rows])
-        return poses, _are_near(poses) & ~self._away[rows]
-
-    @cached_property
-    def _away(self) -> Booleans:
-        """Whether an actor is far from the height of the roads, (scenes, ids)."""
-        away, rows = np.zeros((len(self.batch), len(self.ids)), np.bool_), self._places.rows
+            poses[:, row] = np.nan if pose is None else right_handed(pose)
+        shown = _are_near(poses)
         if self.batch.away.any():
-            away[:, rows >= 0] = self.batch.away[:, rows[rows >= 0]]
-        return away
+            shown[:, ~others] &= ~self.batch.away[:, places.rows[~others]]
+        return poses, shown
 
     @cached_property
     def lamps(self) -> Lamps:
-        """The lit lamps: a bit `1 << material` for each lamp `Material` that is lit, (scenes, ids)."""
+        """The lit lamps: a bit `1 << material` for each lamp `Material` that is lit and to be seen, (scenes, ids)."""
         lamps = np.zeros((len(self.batch), len(self.ids)), np.uint64)
         columns, known = find(self.vehicles, self.ids)
         lamps[:, columns[known]] = lamps_of_vehicles(self.flags[:, known])
         states = self.batch.light_states
         columns, known = find(states["id"][0], self.ids)
         lamps[:, columns[known]] |= lamps_of_lights(states["state"][:, known].astype(np.int64))
-        lamps[self._away] = 0
+        lamps[~self.shown] = 0
         return lamps
 
     @cached_property

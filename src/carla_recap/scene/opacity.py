@@ -136,7 +136,7 @@ class SteppedOpacity:
         rows = np.flatnonzero(np.diff(steps, prepend=self._step))
         self._step = steps[-1]
         if len(rows) and description.actors.look_of(self._id) is not None:
-            poses, shown = description.places_at(rows)
+            poses, shown = description.poses[rows], description.shown[rows]
             self._moments.append(_Moments(self._count + rows, description.actors, poses, shown))
         self._count += len(description)
 

@@ -161,7 +161,7 @@ class ActorEntities:
         description, rows, stamps, _ = scenes
         batch, changed = description.batch, self._take_actors(description)
         shown = slice(None) if len(rows) == len(batch) else rows
-        poses, present = description.places_at(shown)
+        poses, present = description.poses[shown], description.shown[shown]
         moves = self._find_moves(poses, present)
         falls = np.searchsorted(rows, [fall.row for fall in description.falls])
         changes = np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1
@@ -185,8 +185,7 @@ class ActorEntities:
             if self._written > self._most_bytes:
                 self._make_boxes(batch.time[rows[start]].item())
             changed = False
-        lit = np.where(present, description.lamps[shown], np.uint64(0))
-        yield from self._show_lamps(lit, rows, stamps, fresh=batch.fresh and not rows[0])
+        yield from self._show_lamps(description.lamps[shown], rows, stamps, fresh=batch.fresh and not rows[0])
 
     def _show_bodies(self, present: NDArray[np.bool_], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
         entities: dict[str, dict[str, bytes]] = {topic: {} for topic in self._bodies}

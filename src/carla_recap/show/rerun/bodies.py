@@ -61,7 +61,7 @@ class ActorWriter:
         self._roads = roads
         self._cameras = {id: CameraAxes(stream, entities.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
-        self._away: set[int] = set()  # those of the latest scene that are not there
+        self._away: set[int] = set()  # those with poses that are not to be seen in the latest scene
         self.models: set[int] = set()
         self._lamps = LampWriter(stream)
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
@@ -91,7 +91,7 @@ class ActorWriter:
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         batch, spawned = description.batch, []
-        away = set(batch.ids[batch.away[0]].tolist())
+        away = set(batch.ids[~description.recorded_shown[0]].tolist())
         for event in batch.events:
             if isinstance(event, Spawned):
                 if event.actor.id in away:
@@ -101,11 +101,10 @@ class ActorWriter:
                 spawned.append(event.actor.id)
             elif isinstance(event, Destroyed):
                 self._erase(event.id, times.point(0))
-        again = self._hide(description, times) if away or self._away or batch.away.any() else []
         redrawn = set() if description.actors is self._looks else self._redraw(description, times.point(0))
         if batch.ids is not self._ids:
             self._ids = batch.ids
-            for id in set(batch.ids.tolist()) - self._present - away:
+            for id in set(batch.ids.tolist()) - self._present - self._away - away:
                 self._draw(description.lives[id], description, times.point(0))
             for id in self._riding.intersection(batch.ids.tolist()):
                 self._riding.remove(id)
@@ -115,7 +114,7 @@ class ActorWriter:
         if named is not None:
             self._stream.log(entities.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
             self._named = None
-        self._lamps.write(description, times)
+        again = self._hide(description, times)
         self._lay(description, times, [*again, *((0, id) for id in redrawn)])
         self._poses.add(description, times, [*spawned, *redrawn])
         if self._poses.is_full:
@@ -206,18 +205,24 @@ class ActorWriter:
         return changed
 
     def _hide(self, description: SceneDescription, times: TimeColumns) -> list[tuple[int, int]]:
-        """Erase actors from when on they are away, and draw them again when they are there; return those rows and ids."""
-        batch, again = description.batch, []
+        """Erase actors from when on they are not to be seen, and draw them again when they are; return those rows and ids.
+
+        Lamps are written in between, as they are those of what is drawn.
+        """
+        batch, again, away, start = description.batch, [], ~description.recorded_shown, 0
         before = np.isin(batch.ids, list(self._away))
-        changed = batch.away != np.concatenate((before[None], batch.away[:-1]))
+        changed = away != np.concatenate((before[None], away[:-1]))
         for row, column in zip(*(index.tolist() for index in np.nonzero(changed)), strict=True):
             id = int(batch.ids[column])
-            if batch.away[row, column]:
+            self._lamps.write(description, times, start, row)
+            start = row
+            if away[row, column]:
                 self._erase(id, times.point(row))
             elif id not in self._present:
                 self._draw(description.lives[id], description, times.point(row))
                 again.append((row, id))
-        self._away = set(batch.ids[batch.away[-1]].tolist())
+        self._lamps.write(description, times, start, len(batch))
+        self._away = set(batch.ids[away[-1]].tolist())
         return again
 
     def _lay(self, description: SceneDescription, times: TimeColumns, again: Iterable[tuple[int, int]]) -> None:
@@ -294,14 +299,16 @@ class LampWriter:
         for known in (self._meshes, self._lit, self._drawn):
             known.pop(id, None)
 
-    def write(self, description: SceneDescription, times: TimeColumns) -> None:
-        """Write scenes."""
-        lamps, ids = description.lamps, description.ids
+    def write(self, description: SceneDescription, times: TimeColumns, start: int, stop: int) -> None:
+        """Write some of the scenes."""
+        if start == stop:
+            return
+        lamps, ids = description.lamps[start:stop], description.ids
         before = np.array([self._lit.get(id, 0) for id in ids.tolist()], np.uint64)
         rows, columns = np.nonzero(lamps != np.concatenate((before[None], lamps[:-1])))
         for row, id, lit in zip(rows.tolist(), ids[columns].tolist(), lamps[rows, columns].tolist(), strict=True):
             if id in self._meshes:
-                self._change(id, lit, times.point(row))
+                self._change(id, lit, times.point(start + row))
 
     def _change(self, id: int, lamps: int, time: TimePoint) -> None:
         """Note the lit lamps of an actor, given as bits `1 << material`."""
