@@ -74,6 +74,13 @@ def test_invalid_destinations_of_record(tmp_path):
     assert names_in(tmp_path) == ["file", "folder.log"]
 
 
+@pytest.mark.parametrize("command", [("record",), ("replay", CROSSING)])
+def test_missing_folders_are_made(tmp_path, command):
+    path = tmp_path / "new" / "folder" / "a.log"
+    assert run(*command, path, "--duration", "0.1").returncode == 0
+    assert names_in(path.parent) == ["a.log"]
+
+
 def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
     for folder, told in (
         ("", "is not set"),

@@ -62,6 +62,20 @@ def test_folders_that_were_made_for_a_file_go_with_it(tmp_path: Path) -> None:
     assert [*tmp_path.rglob("*")] == [tmp_path / "old"]
 
 
+def test_a_folder_that_goes_with_another_file_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    others = iter(["a", "b"])
+
+    def make(folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        if next(others, None):
+            folder.rmdir()  # as another process does that gives up its file
+
+    monkeypatch.setattr(files, "make_folder", make)
+    with WholeFile(tmp_path / "new" / "a.bin") as file:
+        file.write(b"abc")
+    assert names_in(tmp_path / "new") == ["a.bin"]
+
+
 def test_a_file_that_fails_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(TypeError), WholeFile(tmp_path / "a.bin") as file:
         file.write([b"12"])

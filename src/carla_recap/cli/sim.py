@@ -148,7 +148,10 @@ def _recording(world: World, destination: str, *, additional_data: bool, force: 
     Yields:
         What else to print; the block may add to it.
     """
+    from carla_recap.util.files import make_folder
+
     notes: list[str] = []
+    make_folder(Path(destination).parent)
     world.start_recorder(Path(destination).absolute(), additional_data, force=force)
     try:
         yield notes

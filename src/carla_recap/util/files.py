@@ -15,6 +15,7 @@ from carla_recap.util.log import log_debug
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from io import BufferedWriter
     from types import TracebackType
 
     BytesLike = bytes | bytearray | memoryview
@@ -26,6 +27,7 @@ IS_LFS_POINTER: Final = "is a pointer of Git LFS, not the file itself, which `gi
 _SYNC_SECONDS: Final = 1.0
 """The least time between two syncs, in s of the clock, so that a fast simulation does not keep the disk busy."""
 _BUFFER_SIZE: Final = 1 << 20  # bytes
+_TRIES: Final = 10  # times that the folder of a file is made
 _NAME_SIZE: Final = 200  # characters of the destination's name in the name of a partial file
 
 _SYNC = getattr(os, "fdatasync", os.fsync)  # some systems have only `fsync`
@@ -81,8 +83,7 @@ class AtomicFile:
             if self.path.exists() and not self.path.is_file():
                 raise FileExistsError(EEXIST, "is not a regular file")
             self._made = [folder for folder in self.path.parents if not folder.exists()]
-            make_folder(self.path.parent)
-            self._file = self._partial.open("xb", buffering=_BUFFER_SIZE)
+            self._file = self._open_partial()
             write_start()
             self._is_unused = True
         except OSError as error:
@@ -91,6 +92,18 @@ class AtomicFile:
         except BaseException:
             self.abort()
             raise
+
+    def _open_partial(self) -> BufferedWriter:
+        """Open the partial file; what gives up a file in a new folder may remove that before this one is there."""
+        tries = 0
+        while True:
+            try:
+                make_folder(self.path.parent)
+                return self._partial.open("xb", buffering=_BUFFER_SIZE)
+            except (FileNotFoundError, RecapError):
+                tries += 1
+                if tries == _TRIES:
+                    raise
 
     def __del__(self) -> None:
         if getattr(self, "_is_unused", False):  # a signal came before the `with` block that would have closed it
