@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from functools import partial
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -80,6 +81,37 @@ def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none():
     errors = {outcome.source.location: outcome.error for outcome in outcomes if outcome.error}
     assert errors == {name: f"{name}: its worker process ends (exit code 3)" for name in ("7.log", "8.log")}
     assert [outcome.source for outcome in outcomes] == sources(60)
+
+
+class StartsOnce:
+    """A function whose first worker alone can start."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def prepare(self):
+        try:
+            (self.folder / "first").touch(exist_ok=False)
+        except FileExistsError:
+            time.sleep(0.3)  # so that the first worker has an outcome
+            os._exit(3)
+
+    def __call__(self, _):
+        time.sleep(0.05)
+        return 1
+
+
+def test_workers_that_do_not_start_are_no_error_while_another_one_works(tmp_path):
+    assert [outcome.value for outcome in values(StartsOnce(tmp_path))] == [1] * 60
+
+
+def test_a_pipe_that_breaks_is_the_end_of_a_worker(monkeypatch):
+    def broken(*_):
+        raise BrokenPipeError  # as on Windows
+
+    monkeypatch.setattr(Connection, "poll", broken)
+    with pytest.raises(RecapError, match="the worker processes do not start"):
+        values(process)
 
 
 def test_another_error_of_the_function_is_raised_with_the_place_where_it_was():

@@ -86,11 +86,12 @@ class _Worker(Generic[T]):
         Raise `EOFError` if the process has ended without an outcome; it says so if that was for the limit.
         """
         has_ended = not self.process.is_alive()  # which the connection does not say while another process holds it
-        if self.connection.poll():
-            try:
-                message: Outcome[T] | _Raised | None = self.connection.recv()
-            except OSError:
-                raise EOFError from None
+        try:
+            has_answered = self.connection.poll()
+            message: Outcome[T] | _Raised | None = self.connection.recv() if has_answered else None
+        except OSError:
+            raise EOFError from None
+        if has_answered:
             if isinstance(message, _Raised):
                 message.error.add_note(message.trace)
                 raise message.error
@@ -151,6 +152,7 @@ def map_in_workers(
                         continue
                     del busy[worker]
                     idle.append(worker)
+                    failures = 0
                 except EOFError as end:
                     del busy[worker]
                     cause = worker.close()

@@ -8,14 +8,13 @@ from contextlib import contextmanager, suppress
 from errno import EEXIST, EISDIR
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, BinaryIO, Final, Self
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.util.log import log_debug
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from io import BufferedWriter
     from types import TracebackType
 
     BytesLike = bytes | bytearray | memoryview
@@ -93,7 +92,7 @@ class AtomicFile:
             self.abort()
             raise
 
-    def _open_partial(self) -> BufferedWriter:
+    def _open_partial(self) -> BinaryIO:
         """Open the partial file; what gives up a file in a new folder may remove that before this one is there."""
         tries = 0
         while True:
