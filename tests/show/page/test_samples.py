@@ -11,10 +11,11 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
+from carla_recap.show.page import samples
 from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data, recording_data
 from tests.replay.scripts import pose, spawn
-from tests.show.page.conftest import CROSSING, record, sampled, unpack, values_at
+from tests.show.page.conftest import CROSSING, data, record, report, sampled, unpack, values_at
 
 
 def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:
@@ -132,6 +133,15 @@ def test_the_leaders_of_one_life_stay_when_its_id_is_used_again(tmp_path: Path) 
     first = (replay.times > 0.1) & (replay.times < 7.4)  # s, of its first life
     assert np.all(measured.leader[first] == 2)
     assert np.isfinite(measured.values["gap"][first]).all()
+
+
+def test_a_long_recording_without_incidents_has_no_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(samples, "BUDGET", 0)
+    there = {"transforms": [pose(1)]}
+    path = record(tmp_path / "a.mcap", [there | {"spawned": [spawn(1, role_name="hero")]}, there, there])
+    page = report(path, tmp_path / "page")
+    (measured,) = data(page, "recording")["measured"]
+    assert (measured["id"], measured["leader"].tolist()) == (1, [])
 
 
 def test_a_colour_that_is_none_is_no_paint(tmp_path: Path) -> None:

@@ -422,6 +422,6 @@ def measure(recording: Recording, ids: Sequence[int], times: Floats) -> list[Mea
 
 def _samples_at(times: Floats, moments: Floats) -> tuple[Indices, Indices]:
     """Return the samples that are of some moments, the last first, and which of these they are of."""
-    samples = np.minimum(np.searchsorted(times, moments - SAME_TIME), len(times) - 1)
-    rows = np.flatnonzero(np.abs(times[samples] - moments) <= _SAME_TIME)[::-1]
+    samples = np.searchsorted(times, moments - SAME_TIME)
+    rows = np.flatnonzero(np.abs(np.append(times, np.nan)[samples] - moments) <= _SAME_TIME)[::-1]
     return samples[rows], rows
