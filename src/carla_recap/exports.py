@@ -163,11 +163,14 @@ def export(
         road_map: The map of the town, an OpenDRIVE file or a folder of them; None: it is looked for in the usual folders.
         force: Replace what is there.
         progress: Gets what is gone through, and yields it; see the function of the format.
-        options: Those of the function of the format, such as `start` and `duration` in s, and `follow`.
+        options: Those of the function of the format, among them `start`, the elapsed seconds to begin at, negative: before
+            the end; `duration` in seconds, 0: all of the rest; `follow`, the followed actor: an id or "hero", None: see
+            `carla_recap.replay.choose_followed`; `incidents`, which ones are shown, None: all kinds, those against the rules
+            of the road if the map is known; `verdicts`, what `check` returns: a lane of states for each.
 
     Raises:
         MissingExtra: The extra of the format is not installed.
-        RecapError: There is no such format, an option does not go with it, or nothing can be written.
+        RecapError: There is no such format, time or actor, an option does not go with it, or nothing can be written.
         FormatError: The recording is damaged.
     """
     form = find_format(destination, to)

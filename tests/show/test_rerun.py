@@ -424,7 +424,7 @@ def test_cameras_and_rrd_are_written_together_or_not_at_all(tmp_path: Path) -> N
     with pytest.raises(RecapError, match="is the destination itself; a folder was expected"):
         export(CROSSING, tmp_path / "y.rrd", cameras=tmp_path / "y.rrd")
     (tmp_path / "file").touch()
-    with pytest.raises(RecapError, match="cannot be written"):
+    with pytest.raises(RecapError, match="is a file; a folder was expected"):
         export(CROSSING, tmp_path / "file" / "z.rrd", cameras=tmp_path / "cameras")
     assert not (tmp_path / "cameras").exists()
     assert not (tmp_path / "y.rrd").exists()

@@ -47,22 +47,10 @@ def export_openscenario(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write the trajectories of vehicles and walkers as an OpenSCENARIO file, for esmini and other players.
+    """Write the trajectories of vehicles and walkers as an OpenSCENARIO file, for esmini and other players; see `export`.
 
-    Args:
-        source: The recording.
-        destination: The file, which ends in .xosc; it appears when it is complete.
-        start: The beginning, in elapsed seconds; negative: in seconds before the end.
-        duration: The number of seconds to export; 0: all of the rest.
-        opendrive: The map of the town, an OpenDRIVE file; the scenario has its name without the folder.
-        force: Overwrite the file if it exists.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Returns:
-        The number of frames, and the seconds that they span.
-
-    Raises:
-        RecapError: The recording has no such time or is too long, or the file cannot be written.
+    The scenario has the name of the map, if that is given, without its folder. Return the number of frames, and the seconds
+    that they span; a `RecapError` says that the recording is too long.
     """
     reader = source.reader
     check_destination(reader.location, destination, force=force)

@@ -68,24 +68,10 @@ def export_osi(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write a recording as an OSI trace.
+    """Write a recording as an OSI trace, whose host vehicle is the one that is given, else the hero; see `export`.
 
-    Args:
-        source: The recording.
-        destination: The file; it appears when it is complete.
-        follow: The host vehicle: an id or "hero"; None: the hero, if there is one.
-        start: The beginning, in elapsed seconds; negative: in seconds before the end.
-        duration: The number of seconds to export; 0: all of the rest.
-        opendrive: The map of the town, an OpenDRIVE file, which the trace then contains.
-        force: Overwrite the file if it exists.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Returns:
-        The number of messages, and the seconds that they span.
-
-    Raises:
-        MissingExtra: The extra `osi` is not installed.
-        RecapError: The recording has no such time or no such actor, or a file cannot be read or written.
+    The trace contains the map of the town if its OpenDRIVE file is given. Return the number of messages, and the seconds
+    that they span.
     """
     reader = source.reader
     check_destination(reader.location, destination, force=force)

@@ -31,25 +31,13 @@ RENAMED: Final = {"collisions": "collision_records"}
 def export_parquet(
     recording: Recording, folder: Path | str, *, force: bool = False, progress: Progress | None = None
 ) -> list[Path]:
-    """Write the tables of a recording into a folder, as Parquet files.
+    """Write the tables of a recording into a folder, as Parquet files; see `export`.
 
     Each record type of the recording gets a file, such as `transforms.parquet`, with the columns of `Recording.table`;
     `actors.parquet`, `collisions.parquet` and `incidents.parquet` contain the results of the queries (the records of
     collisions are in `collision_records.parquet`). The metadata of columns contain their units.
 
-    Args:
-        recording: The recording.
-        folder: The folder to write. It appears when all files are complete.
-        force: Write into a folder that is not empty, over files of the same names.
-        progress: Gets the batches and their reader, and yields the batches.
-
-    Returns:
-        The files.
-
-    Raises:
-        MissingExtra: pyarrow is not installed.
-        FormatError: The recording is damaged.
-        RecapError: The folder is not empty, or cannot be written.
+    With `force`, files of the same names are written over. Return the files.
     """
     arrow.require("an export to Parquet")
     check_folder(folder, force=force)

@@ -119,9 +119,7 @@ def export_rosbag(
 ) -> Played:
     """Write a recording as a bag of ROS 2: its scene, and the data of its sensors and of those of a rig, or of its file.
 
-    The destination is the folder of the bag, which appears when it is complete; with `force`, files of the same names in it
-    are replaced. The actor of the odometry carries the rig. The start is in elapsed seconds, before the end if it is
-    negative; a duration of 0 is all of the rest. Return the number of scenes, and the seconds that they span. A
+    The actor of the odometry carries the rig; see `export`. Return the number of scenes, and the seconds that they span. A
     `RecapWarning` says that the actor has no pose, so that there is no odometry, or that moments or videos are left out.
     """
     check_folder(destination, force=force)

@@ -45,27 +45,11 @@ def export_csv(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write the tracks of vehicles and walkers as a CSV file.
+    """Write the tracks of vehicles and walkers as a CSV file; see `export`.
 
     Numbers have as many digits as it takes to read the same ones again: `import_tracks` gives the same transforms. A
-    velocity that was not recorded, or is not finite, is empty. Poses that are not finite are left out.
-
-    Args:
-        source: The recording.
-        destination: The file; it appears when it is complete.
-        start: The beginning, in elapsed seconds; negative: in seconds before the end.
-        duration: The number of seconds to export; 0: all of the rest.
-        force: Overwrite the file if it exists.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Returns:
-        The number of frames, and the seconds that they span.
-
-    Raises:
-        RecapError: The recording has no such time, or the file cannot be written.
-
-    Warns:
-        RecapWarning: Poses are left out, or there are none.
+    velocity that was not recorded, or is not finite, is empty. Poses that are not finite are left out, of which a
+    `RecapWarning` tells, or that there are none. Return the number of frames, and the seconds that they span.
     """
     reader = source.reader
     check_destination(reader.location, destination, force=force)

@@ -10,6 +10,7 @@ import numpy as np
 
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.pose import attach
+from carla_recap.replay.selection import index_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -123,8 +124,7 @@ class SceneBatch:
 
     def index_of(self, id: int) -> int | None:
         """Return the index of an actor in `ids`; None if it has no recorded pose."""
-        index = int(self.ids.searchsorted(id))
-        return index if index < len(self.ids) and self.ids[index] == id else None
+        return index_in(self.ids, id)
 
     def pose_of(self, id: int, row: int | None = None) -> NDArray[np.float64] | None:
         """Return the poses of an actor, recorded or not, (scenes, 6); None if they are unknown.

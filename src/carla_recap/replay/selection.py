@@ -43,6 +43,12 @@ def find(ids: NDArray[np.integer], among: NDArray[np.integer]) -> tuple[NDArray[
     return found, among[found] == ids
 
 
+def index_in(among: NDArray[np.integer], id: int) -> int | None:
+    """Return the index of an id among others, which ascend; None if it is not among them."""
+    index = int(among.searchsorted(id))
+    return index if index < len(among) and among[index] == id else None
+
+
 def numbers(records: NDArray[np.void]) -> NDArray[np.floating]:
     """Return the numbers of records of an id and six numbers of one type, (..., 6); not a copy."""
     view: NDArray[np.floating] = records.view(_id_and_numbers(records.dtype))["numbers"]

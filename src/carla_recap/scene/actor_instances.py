@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.replay.pose import LOCATION, rotations
+from carla_recap.replay.selection import index_in
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.instances import Instances
 from carla_recap.scene.marks import MARK_RADIUS
@@ -90,8 +91,8 @@ class SceneActors:
 def _lay(found: Instances, centers: Floats, fallen: Mapping[int, Fall]) -> None:
     """Lay down the walkers that were knocked down."""
     for id, fall in fallen.items():
-        row = int(found.ids.searchsorted(id))
-        if row < len(found) and found.ids[row] == id:
+        row = index_in(found.ids, id)
+        if row is not None:
             upright = found.rotations[row].astype(np.float64)
             found.rotations[row] = upright @ fall.matrix
             found.locations[row] += upright @ (fall.offset - centers[row])

@@ -14,7 +14,7 @@ from carla_recap.model.presence import FAR
 from carla_recap.model.records import Spawn
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import ROTATION, right_handed, rotations
-from carla_recap.replay.selection import NO_IDS, find
+from carla_recap.replay.selection import NO_IDS, find, index_in
 from carla_recap.scene.appearance import UNKNOWN, look_of_present
 from carla_recap.scene.falls import UPRIGHT, FallChange, FallenWalkers, RecordedContacts
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
@@ -65,8 +65,8 @@ class LookColumns:
 
     def look_of(self, id: int) -> Look | None:
         """Return the look of an actor; None if it is not among these."""
-        row = int(self.ids.searchsorted(id))
-        return self.looks[row] if row < len(self.ids) and self.ids[row] == id else None
+        row = index_in(self.ids, id)
+        return None if row is None else self.looks[row]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from carla_recap.replay.follow import LiveChoice
 from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.player import LiveScenes
 from carla_recap.replay.pose import LOCATION, YAW
+from carla_recap.replay.selection import index_in
 from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder, add_stop_points
 
 if TYPE_CHECKING:
@@ -179,8 +180,8 @@ class FollowedActor:
         """Return some fields of the records of the actor, (scenes, fields); NaN unless all of a scene are finite."""
         values = np.full((len(batch), len(names)), np.nan)
         records = batch.records(name)
-        index = 0 if self.id is None else int(np.searchsorted(records["id"][0], self.id))
-        if index < records.shape[1] and records["id"][0, index] == self.id:
+        index = None if self.id is None else index_in(records["id"][0], self.id)
+        if index is not None:
             own = records[:, index]
             with np.errstate(invalid="ignore"):  # a signaling NaN
                 for column, field in enumerate(names):

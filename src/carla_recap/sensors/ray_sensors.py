@@ -11,6 +11,7 @@ import numpy as np
 
 from carla_recap.rendering.rays import RayScene, SurfaceHits
 from carla_recap.replay.pose import LOCATION, MIRROR, rotations
+from carla_recap.replay.selection import find
 from carla_recap.scene.models import MODELS
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.sensors.ray_process import MAX_STEP
@@ -135,12 +136,12 @@ class _Radar(_RaySensor):
 
     def measure(self, moment: RayMoment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         ids, velocities = moment.ids, moment.velocities
-        rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
+        rows, known = find(hits.actor, ids)
         assert moment.velocity is not None
         assert velocities is not None
         towards = np.zeros((len(hits.actor), 3))
         if len(ids):
-            towards = np.where((ids[rows] == hits.actor)[:, None], velocities[rows], 0.0)
+            towards = np.where(known[:, None], velocities[rows], 0.0)
         turned = rotations(pose) * MIRROR[:, None] * MIRROR
         found = detections(hits, directions, turned, (towards - moment.velocity) * MIRROR)
         table = np.zeros(len(found), DETECTION)

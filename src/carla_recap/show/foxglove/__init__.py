@@ -61,27 +61,10 @@ def export_foxglove(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write a recording as an MCAP file for Foxglove and Lichtblick.
+    """Write a recording as an MCAP file for Foxglove and Lichtblick, whose layouts follow an actor; see `export`.
 
-    Args:
-        source: The recording.
-        destination: The file; it appears when it is complete. Of a recording with images or points of sensors, or with
-            verdicts, layouts that show them are written beside it.
-        follow: The actor that the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
-        start: The beginning, in elapsed seconds; negative: in seconds before the end.
-        duration: The number of seconds to export; 0: all of the rest.
-        road_map: The map of the town.
-        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is given.
-        verdicts: What rules say of the recording, as `check` returns it: a lane of states for each.
-        force: Overwrite the file if it exists.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Returns:
-        The number of scenes, and the seconds that they span.
-
-    Raises:
-        MissingExtra: The extra `foxglove` is not installed.
-        RecapError: The recording has no such time or no such actor, or the file cannot be written.
+    Of a recording with images or points of sensors, or with verdicts, layouts that show them are written beside it. Return
+    the number of scenes, and the seconds that they span.
     """
     from carla_recap.show.foxglove.topics import TOPICS, RecordingMessages, passed_topics
 

@@ -10,6 +10,7 @@ import numpy as np
 from carla_recap.model.lives import heroes_of
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
+from carla_recap.replay.selection import index_in
 from carla_recap.scene import style
 from carla_recap.show.foxglove.bodies import ahead_entity, frame_of
 from carla_recap.show.foxglove.messages import (
@@ -70,8 +71,8 @@ class ViewFrames:
         if any(self._may_be_hero(event) for event in batch.events):
             self._hero = next((actor.id for actor in heroes_of(batch.actors.values())), None)
         views = right_handed(np.nan_to_num(series.camera, nan=0.0))
-        column = np.flatnonzero(description.ids == self._hero)
-        hero = description.poses[rows, column[0]] if len(column) else np.full((len(rows), 6), np.nan)
+        column = None if self._hero is None else index_in(description.ids, self._hero)
+        hero = np.full((len(rows), 6), np.nan) if column is None else description.poses[rows, column]
         known = np.isfinite(hero).all(axis=1)
         for some, frames in (
             (~known, {_FOLLOWED_FRAME: views}),
@@ -176,8 +177,8 @@ def _color_name(state: int) -> str:
 def _records_of(batch: SceneBatch, name: str, id: int) -> NDArray[np.void] | None:
     """Return the records of an actor, (scenes,); None if it has none."""
     records = batch.records(name)
-    index = int(np.searchsorted(records["id"][0], id))
-    return records[:, index] if index < records.shape[1] and records["id"][0, index] == id else None
+    index = index_in(records["id"][0], id)
+    return None if index is None else records[:, index]
 
 
 @cache

@@ -42,29 +42,12 @@ def export_rerun(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write an .rrd, which Rerun's viewer opens with a camera behind the followed actor.
+    """Write an .rrd, which Rerun's viewer opens with a camera behind the followed actor; see `export`.
 
-    Args:
-        source: The recording.
-        destination: The .rrd; it appears when it is complete.
-        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
-        start: The elapsed time to begin at, in seconds; negative: before the end.
-        duration: The duration in seconds; 0: all of the rest.
-        view: The camera that is shown first.
-        road_map: The map of the town.
-        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is given.
-        verdicts: What rules say of the recording, as `check` returns it: a lane of states for each.
-        cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
-            makes the camera follow that actor.
-        ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
-            elsewhere.
-        force: Overwrite existing files.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Raises:
-        MissingExtra: The extra `rerun` is not installed.
-        RecapError: There is no such actor or time, or the destination cannot be written.
-        FormatError: The file contradicts its format.
+    `view` is the camera that is shown first. `cameras` is a folder for a blueprint of each vehicle and walker,
+    `follow_<id>.rbl`: opened together with the .rrd, it makes the camera follow that actor. `ghost` is another recording of
+    the same scenario, whose vehicles and walkers are shown as ghosts from when on they are elsewhere. Return the number of
+    scenes, and the seconds that they span.
     """
     check_rerun()
     from carla_recap.show.rerun.blueprint import blueprint

@@ -12,6 +12,7 @@ from carla_recap.model.blueprints import box_of
 from carla_recap.rendering.camera import Camera
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION, rotations
+from carla_recap.replay.selection import index_in
 from carla_recap.scene.opacity import SeenBoxes, is_flat, is_near, wanted_opacities
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def subject_of(id: int, scene: Scene, instances: Instances, series: FollowedSeri
         return None
     placed = right_handed(pose)
     rotation = body = rotations(placed)
-    index = _index(instances, id)
+    index = index_in(instances.ids, id)
     if index is not None:
         centre, half = instances.locations[index], instances.half_extents[index].astype(np.float64)
         body = instances.rotations[index].astype(np.float64)
@@ -278,7 +279,9 @@ class Transparency:
             now, goal = self._opacity.get(id, 1.0), wanted.get(id, 1.0)
             self._opacity[id] = now + share * (goal - now)
         self._opacity = {id: value for id, value in self._opacity.items() if id in wanted or value < 0.99}
-        changed = [(index, value) for id, value in self._opacity.items() if (index := _index(instances, id)) is not None]
+        changed = [
+            (index, value) for id, value in self._opacity.items() if (index := index_in(instances.ids, id)) is not None
+        ]
         if not changed:
             return instances
         opacity = instances.opacity.copy()
@@ -288,7 +291,7 @@ class Transparency:
 
     def _wanted(self, camera: Camera, instances: Instances, followed: int | None) -> dict[int, float]:
         """Return the opacities of the actors that should be see-through."""
-        own = _index(instances, followed)
+        own = None if followed is None else index_in(instances.ids, followed)
         if own is None or not np.isfinite(instances.locations[own]).all():
             return {}
         seen = ~is_flat(instances.half_extents.astype(np.float64)) & is_near(instances.locations, camera.location)
@@ -308,11 +311,3 @@ class Transparency:
 def _boxes(instances: Instances, rows: NDArray[np.intp]) -> SeenBoxes:
     rotations, half_extents = (column[rows].astype(np.float64) for column in (instances.rotations, instances.half_extents))
     return SeenBoxes(instances.locations[rows], rotations, half_extents)
-
-
-def _index(instances: Instances, id: int | None) -> int | None:
-    """Return the index of an actor among instances; None if it is not among them."""
-    if id is None:
-        return None
-    index = int(np.searchsorted(instances.ids, id))
-    return index if index < len(instances) and instances.ids[index] == id else None
