@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall
     from carla_recap.show.foxglove.messages import ShownScenes, Stamps
-    from carla_recap.util.arrays import Floats, Indices
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
 MOVED: Final = "/tf/actors"
 STILL: Final = "/tf/still"
@@ -147,8 +147,6 @@ class ActorEntities:
         self._lives: Mapping[int, ActorLife] = {}
         self._looks: LookColumns | None = None
         self._shown: list[_ShownActor] = []  # by their ids
-        self._first: Floats = np.zeros((0, 6))  # see `_ShownActor`
-        self._moved: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._fallen: dict[int, Fall] = {}  # how walkers lie
         self._written = 0  # bytes of bodies
         self._before: list[int] = []  # the actors of the latest message of those that have not moved
@@ -162,20 +160,21 @@ class ActorEntities:
         batch, changed = description.batch, self._take_actors(description)
         shown = slice(None) if len(rows) == len(batch) else rows
         poses, present = description.poses[shown], description.shown[shown]
-        moves = self._find_moves(poses, present)
+        moved = np.array([each.moved for each in self._shown], np.bool_)
+        moves = self._find_moves(poses, present, moved)
         falls = np.searchsorted(rows, [fall.row for fall in description.falls])
         changes = np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1
         starts = {0, *np.concatenate((moves, falls, changes)).tolist()} - {len(rows)}
         for start, stop in pairwise([*sorted(starts), len(rows)]):
             for index in np.flatnonzero(moves == start).tolist():
-                self._shown[index].moved = self._moved[index] = True
+                self._shown[index].moved = moved[index] = True
             self._take_fallen(description.fallen_at(rows[start]))
             fresh = batch.fresh and not rows[start]
-            indices = np.flatnonzero(present[start] & self._moved)
+            indices = np.flatnonzero(present[start] & moved)
             if len(indices):
                 some = slice(start, stop)
                 yield self._transforms(MOVED, indices, rows[some], stamps[some], poses[some, indices])
-            indices = np.flatnonzero(present[start] & ~self._moved)
+            indices = np.flatnonzero(present[start] & ~moved)
             ids = [self._shown[index].actor.id for index in indices.tolist()]
             if changed or fresh or ids != self._before:
                 self._before = ids
@@ -246,17 +245,16 @@ class ActorEntities:
             elif shown.actor is not actor and shown.actor != actor:
                 shown.draw(actor, look)
             self._shown.append(shown)
-        self._first = np.array([shown.first for shown in self._shown]).reshape(-1, 6)
-        self._moved = np.array([shown.moved for shown in self._shown], np.bool_)
         return True
 
-    def _find_moves(self, poses: Floats, present: NDArray[np.bool_]) -> Indices:
+    def _find_moves(self, poses: Floats, present: Booleans, moved: Booleans) -> Indices:
         """Return the position of the scene in which each actor moves for the first time; the number of scenes if in none."""
-        for index in np.flatnonzero(np.isnan(self._first[:, 0]) & present.any(axis=0)).tolist():
-            self._first[index] = self._shown[index].first = poses[present[:, index].argmax(), index]
-        still, moves = np.flatnonzero(~self._moved), np.full(len(self._shown), len(present))
+        first = np.array([shown.first for shown in self._shown]).reshape(-1, 6)
+        for index in np.flatnonzero(np.isnan(first[:, 0]) & present.any(axis=0)).tolist():
+            first[index] = self._shown[index].first = poses[present[:, index].argmax(), index]
+        still, moves = np.flatnonzero(~moved), np.full(len(self._shown), len(present))
         with np.errstate(invalid="ignore", over="ignore"):
-            away = (np.abs(change(self._first[still], poses[:, still])) > _MOVED_BY).any(axis=2) & present[:, still]
+            away = (np.abs(change(first[still], poses[:, still])) > _MOVED_BY).any(axis=2) & present[:, still]
         moves[still] = np.where(away.any(axis=0), away.argmax(axis=0), len(present))
         return moves
 
