@@ -96,6 +96,18 @@ def test_velocities_that_were_not_recorded_are_derived(tmp_path, own):
     assert np.allclose([car.base.acceleration.x for car in cars], [0, 100, 200, 200, 100], atol=1e-2)
 
 
+def test_a_jump_is_no_motion(tmp_path):
+    with create_recording(tmp_path / "odd.log", map_name="") as recorder:
+        for index in range(20):
+            spawned = [Spawn(7, 1, type_id="vehicle.a")] if index == 0 else []
+            x = 100 * index if index < 10 else 10_000 + 50 * index
+            recorder.add_frame(index / 20, spawned=spawned, transforms=[(7, x, 0, 0, 0, 0, 0)])
+    export(tmp_path / "odd.log", tmp_path / "odd.mcap")
+    found = [truth.moving_object[0].base for _, truth in messages(tmp_path / "odd.mcap")]
+    assert [each.velocity.x for each in found] == pytest.approx([20.0] * 10 + [10.0] * 10, abs=1e-3)
+    assert [each.acceleration.x for each in found] == pytest.approx([0.0] * 20, abs=0.1)
+
+
 def test_recorded_velocities_are_taken(crash):
     with open_recording(SAMPLES / "crash.mcap") as recording:
         (hero,) = recording.heroes
@@ -135,7 +147,8 @@ def test_poses_that_are_no_numbers_are_left_out(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert export(path, tmp_path / "odd.mcap").frames == 3
-    assert [len(truth.moving_object) for _, truth in messages(tmp_path / "odd.mcap")] == [0, 1, 1]
+    found = [[each.base for each in truth.moving_object] for _, truth in messages(tmp_path / "odd.mcap")]
+    assert [[(each.velocity.x, each.acceleration.x) for each in frame] for frame in found] == [[], [(0, 0)], [(0, 0)]]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("omega_prime") is None, reason="omega-prime (1.2 GB) is not installed")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from carla_recap.errors import RecapError
@@ -15,6 +17,11 @@ def test_a_file_has_the_name_of_its_recording(tmp_path, name):
     folder = DestinationFolder(name if "://" in name else str(tmp_path / name), ".mcap")
     assert folder.file_of(SourceFile("runs/a/b.log", name="a/b.log")) == f"{folder.location}/a/b.mcap"
     assert not folder.location.endswith("/")
+
+
+def test_a_folder_of_a_drive_that_is_missing_is_no_error_yet(monkeypatch):
+    monkeypatch.setattr(Path, "exists", lambda _: False)  # as on Windows
+    assert DestinationFolder("Z:/runs", ".log").location == "Z:/runs"
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ class DestinationFolder:
             raise RecapError(f"{self.location}: names a file; a folder was expected, for the files of many recordings")
         if not is_remote(self.location):
             self.location = os.fspath(path_of(self.location))
-            there = next(each for each in (Path(self.location), *Path(self.location).parents) if each.exists())
+            there = next((each for each in (Path(self.location), *Path(self.location).parents) if each.exists()), Path())
             if not there.is_dir():
                 raise RecapError(f"{there}: is a file; a folder was expected, for the files of many recordings")
         self.location = self.location.rstrip("/") or "/"
