@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.queries.measures.series import measures_in_parts
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.page import samples
@@ -133,6 +134,21 @@ def test_the_leaders_of_one_life_stay_when_its_id_is_used_again(tmp_path: Path) 
     first = (replay.times > 0.1) & (replay.times < 7.4)  # s, of its first life
     assert np.all(measured.leader[first] == 2)
     assert np.isfinite(measured.values["gap"][first]).all()
+
+
+def test_what_is_plotted_is_measured_part_by_part(tmp_path: Path) -> None:
+    """So that a long recording takes no more memory than a short one."""
+    frames: list[dict[str, Any]] = [{"transforms": [pose(1, x=n * 50.0), pose(2, x=n * 40.0 + 2000)]} for n in range(5000)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    with open_recording(record(tmp_path / "a.mcap", frames)) as recording:
+        parts = [part[1] for part in measures_in_parts(recording.reader, [1])]
+        whole = recording.time_series(1)
+        times = whole.time[::7]
+        (measured,) = measure(recording, [1], times)
+    assert len(parts) > 1
+    assert np.concatenate([part.leader for part in parts]).tolist() == whole.leader.tolist()
+    assert measured.leader.tolist() == whole.leader[::7].tolist()
+    assert measured.values["gap"].tolist() == whole.distance_headway[::7].tolist()
 
 
 def test_a_long_recording_without_incidents_has_no_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -218,12 +218,28 @@ def _collected(
     stop: float = math.inf,
 ) -> dict[int, MeasureSeries]:
     """Return what collectors have of a recording, by the id of the actor."""
-    motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN, start=start, stop=stop)
-    tables = chain.from_iterable(map(motion.add, source.batches(MOTION, start=motion.span[0], stop=motion.span[1])))
-    for table in chain(tables, motion.finish()):
+    for table in _tables(source, lives, contacts, start, stop):
         for each in collectors:
             each.add(table)
     return {id: series for each in collectors for id, series in each.finish().items()}
+
+
+def measures_in_parts(source: Reader, actors: Collection[int]) -> Iterator[Mapping[int, MeasureSeries]]:
+    """Yield the measures of actors by id, part by part of a recording that may be too long for all of them in memory."""
+    lives, contacts = lives_and_contacts(source)
+    subjects = measured_actors(source, lives, actors)
+    for table in _tables(source, lives, contacts):
+        collector = SeriesCollector(*subjects)
+        collector.add(table)
+        yield collector.finish()
+
+
+def _tables(
+    source: Reader, lives: ActorLives, contacts: Contacts, start: float = -math.inf, stop: float = math.inf
+) -> Iterator[MotionTable]:
+    motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN, start=start, stop=stop)
+    yield from chain.from_iterable(map(motion.add, source.batches(MOTION, start=motion.span[0], stop=motion.span[1])))
+    yield from motion.finish()
 
 
 def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> list[ActorLife]:

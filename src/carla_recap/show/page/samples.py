@@ -13,7 +13,7 @@ import numpy as np
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import possible_step
 from carla_recap.queries.measures.definitions import NO_OTHER
-from carla_recap.queries.measures.series import measures_over_time
+from carla_recap.queries.measures.series import measures_in_parts
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.player import Player
@@ -394,14 +394,18 @@ def _around(recording: Recording, windows: Sequence[tuple[float, float]], sample
 def measure(recording: Recording, ids: Sequence[int], times: Floats) -> list[MeasuredActor]:
     """Return what is plotted of some actors at the times of samples, in elapsed seconds, ascending."""
     stops = stop_points(recording.reader)
-    measured = []
-    for id, series in measures_over_time(recording.reader, ids).series.items():
-        values = {name: np.full(len(times), np.nan) for name in MEASURED_VALUES}
-        leader = np.full(len(times), NO_OTHER, np.int64)
-        samples, rows = _samples_at(times, series.time)
-        values["gap"][samples], values["ttc"][samples] = series.distance_headway[rows], series.time_to_collision[rows]
-        leader[samples] = series.leader[rows]
-        measured.append(MeasuredActor(id, leader, values))
+    measured = [
+        MeasuredActor(
+            id, np.full(len(times), NO_OTHER, np.int64), {name: np.full(len(times), np.nan) for name in MEASURED_VALUES}
+        )
+        for id in ids
+    ]
+    for part in measures_in_parts(recording.reader, ids):
+        for each in measured:
+            series, values = part[each.id], each.values
+            samples, rows = _samples_at(times, series.time)
+            values["gap"][samples], values["ttc"][samples] = series.distance_headway[rows], series.time_to_collision[rows]
+            each.leader[samples] = series.leader[rows]
     followed = [FollowedActor(each.id, stops) for each in measured]
     for batch in Player(recording).batches():
         samples, rows = _samples_at(times, batch.time)
