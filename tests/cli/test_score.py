@@ -118,6 +118,7 @@ def test_several_route_files_have_the_routes_of_all(tmp_path: Path) -> None:
         (("--from-drive", "--min-completion", "101"), "'101' is not a number of 0 to 100."),
         (("--from-drive", "--max", "red_light"), "'red_light' is no limit; KIND=N was expected, such as red_light=0"),
         (("--from-drive", "--max", "speeding=0"), "'speeding=0' is no limit"),
+        (("--from-drive", "--actor", "99999"), "crash.mcap: no vehicle 99999; known ids are 41 (hero)"),
         (("--route", "none.xml"), "none.xml: No such file or directory"),
         (("--route", ROUTES, "--route-id", "9"), f"{ROUTES}: there is no route '9'; it has 1, 2"),
     ],

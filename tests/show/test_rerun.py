@@ -18,6 +18,7 @@ from carla_recap.scene import style
 from carla_recap.scene.follow import followed_series
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import CARLA_LOGS, CROSSING, carla_log, names_in
+from tests.scene.accidents import accident
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
@@ -366,6 +367,17 @@ def test_the_camera_is_as_far_away_as_the_size_asks_that_is_recorded_after_the_s
     frames[0]["spawned"], frames[1]["bounding_boxes"] = [spawn(1)], [(1, 0, 0, 100, 500, 100, 100)]
     export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
     assert Arrangement(tmp_path / "x.rrd").view("Chase").position[0] == pytest.approx(-10 - (5 - 2.4) * 1.6)
+
+
+def test_a_walker_that_lies_is_drawn_so_again_after_it_was_out_of_sight(tmp_path: Path) -> None:
+    frames = accident(speed=100, walker=WALKER)
+    frames[12]["transforms"][1] = pose(WALKER, 200, z=-60_000)
+    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
+    path = f"/world/actors/{WALKER}"
+    assert rrd.at(path, "Mesh3D:vertex_positions", 12) is None
+    lying = [rrd.at(path, f"InstancePoses3D:{name}", time) for time in (11, 15) for name in ("mat3x3", "translations")]
+    assert None not in lying
+    assert [np.array(each).tolist() for each in lying[2:]] == [np.array(each).tolist() for each in lying[:2]]
 
 
 def test_the_plots_end_where_the_followed_actor_vanishes(tmp_path: Path) -> None:
