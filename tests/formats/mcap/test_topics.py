@@ -298,14 +298,15 @@ def test_the_first_and_the_last_time_are_those_of_all_chunks_that_overlap(tmp_pa
         assert [(topic.first, topic.last) for topic in topics] == [(1.0, 3.0), (1.5, 2.5)]
 
 
-def test_messages_that_came_late_are_put_in_order_and_the_latest_is_found(tmp_path):
-    times = [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]
+@pytest.mark.parametrize("unit", [1, 1 / 128], ids=["several chunks", "one chunk"])
+def test_messages_that_came_late_are_put_in_order_and_the_latest_is_found(tmp_path, unit):
+    times = [unit * time for time in (0.0, 40.0, 80.0, 10.0, 50.0, 20.0)]
     with told(tmp_path / "run.mcap", [(time, f"{time}".encode()) for time in times]) as reader:
         assert [time for time, _ in reader.messages("/a")] == sorted(times)
         topic = reader.further_topics()["/a"]
-        assert (topic.first, topic.last) == (0.0, 80.0)
+        assert (topic.first, topic.last) == (0.0, 80.0 * unit)
         for moment, time in [(5.0, 0.0), (15.0, 10.0), (45.0, 40.0), (79.0, 50.0), (81.0, 80.0)]:
-            assert [message.elapsed for message in reader.latest_messages(["/a"], moment)] == [time]
+            assert [message.elapsed for message in reader.latest_messages(["/a"], moment * unit)] == [time * unit]
 
 
 def test_of_messages_at_one_time_the_last_is_the_latest(tmp_path):
