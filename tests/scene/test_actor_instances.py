@@ -280,3 +280,13 @@ def test_neighbouring_vehicles_without_a_recorded_colour_have_different_ones():
     for step in (1, 2, 3, 4, 5):
         colors = [look_of("vehicle.audi.tt", ActorKind.VEHICLE, {}, id=200 + step * number).color for number in range(10)]
         assert len(set(colors)) == 10
+
+
+@pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (4.9, 1), (7.5, 0)])
+def test_collisions_before_the_beginning_are_recalled(played, start, marks):
+    actors, player = SceneActors(), played(*accident(), start=start)
+    actors.recall(player)
+    found = [actors.at(scene) for scene in player.scenes()]
+    assert found[0].rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
+    assert (found[0].models == INDEX["collision mark"]).sum() == marks
+    assert not (found[-1].models == INDEX["collision mark"]).any()

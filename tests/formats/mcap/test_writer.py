@@ -312,3 +312,10 @@ def test_parameters_that_cannot_be_recorded_are_an_error(tmp_path, parameters):
     with pytest.raises(RecordError, match="parameter"):
         create_writer(tmp_path / "a.mcap", Header("Town01", DATE, parameters=parameters))
     assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("date", [-(1 << 63), -1, 0, (1 << 63) - 1])
+def test_any_date_has_times(tmp_path, date):
+    frames = [Frame(n, n, float(n), 0.0, []) for n in range(3)]
+    path = write(tmp_path / "date.mcap", Header("Town01", date), frames)
+    assert len(images(path)) == 3
