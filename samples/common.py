@@ -1,6 +1,8 @@
 """Functions that the sample scripts share: options, connecting, synchronous mode, sensors, and a collision course."""
 
 import queue
+import socket
+import time
 from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
 from contextlib import contextmanager
 
@@ -31,7 +33,14 @@ def traffic_options(parser):
 
 
 def connect(arguments):
-    """Return a client of the server."""
+    """Return a client of the server, which may be starting: a client waits in vain for one that does not listen yet."""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        try:
+            socket.create_connection((arguments.host, arguments.port), 1.0).close()
+            break
+        except OSError:
+            time.sleep(0.1)
     client = carla.Client(arguments.host, arguments.port)
     client.set_timeout(60.0)
     return client

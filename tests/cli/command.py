@@ -82,6 +82,7 @@ def run_here(words: list[Any], out: int, err: int, folder: Path | None = None) -
         stack.enter_context(chdir(folder or Path.cwd()))
         stack.enter_context(patch.dict(os.environ, ENVIRONMENT, clear=True))
         stack.enter_context(patch("resource.setrlimit"))  # with which sql limits the memory of its process
+        stack.enter_context(patch("carla_recap.tables.arrow.spare_pandas"))  # which holds for all of a process
         stack.callback(time.tzset)
         stack.enter_context(warnings.catch_warnings())
         time.tzset()
