@@ -123,6 +123,7 @@ def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, m
         done = CliRunner().invoke(check, [str(runs), "--rules", str(RULES), *ALONE, *map(str, options)])
         assert "no-hero-collision     12.10 s  2 collisions of the hero" in done.stdout
         assert isinstance(done.exception, RecapError)
+        assert wrote(done.stderr) == []
 
 
 def test_pages(runs, tmp_path):

@@ -107,7 +107,7 @@ def check(
     if form != "json":
         totals = f"{counted(len(checked), 'recording')}, {counted(len(rules), 'rule')} of {visible(rules.path)}"
         click.echo(f"{summary(checked)}; {totals}")
-    if html:
+    if html and checked is not judged:  # else the folder could not be written
         wrote(Path(html) / "index.html")
     if junit and not failures:
         wrote(junit)
