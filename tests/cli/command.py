@@ -62,7 +62,7 @@ def printed(*arguments: str) -> tuple[int, str]:
 
 @contextmanager
 def written(ours: int, theirs: int) -> Iterator[tuple[int, Callable[[], bytes]]]:
-    """Yield the end to write to of a pipe or terminal, which is closed by whoever has it, and a function that reads all."""
+    """Yield the end to write to of a pipe or terminal, which its user closes, and a function that reads all."""
     with ThreadPoolExecutor(1) as threads:
         yield theirs, threads.submit(_read, ours).result
 

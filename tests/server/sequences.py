@@ -116,7 +116,7 @@ def run(
     """Make at most some random calls for some seconds, and write what became of each to a file, if any.
 
     Returns how often which method was called; the longest time that the server has kept the fourth client waiting, in s,
-    with the seed and the method; and the lines of the server's log that tell of a fault of its own.
+    with the seed and the method; and the lines of the server's log that report a fault of its own.
     """
     outcomes: Counter[str] = Counter()
     slowest = 0.0, 0, ""

@@ -68,7 +68,7 @@ def export_osi(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write a recording as an OSI trace, whose host vehicle is the one that is given, else the hero; see `export`.
+    """Write a recording as an OSI trace, whose host vehicle is the followed actor, or the hero without one; see `export`.
 
     The trace contains the map of the town if its OpenDRIVE file is given. Return the number of messages, and the seconds
     that they span.
