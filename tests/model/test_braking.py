@@ -139,16 +139,24 @@ def test_frames_of_a_few_seconds_are_held(monkeypatch: pytest.MonkeyPatch) -> No
         assert len(detector._elapsed) <= 2 * (50 + 50 + 50)
 
 
-def drives(choose: Random, count: int, tick: float) -> list[Frame]:
-    """Return frames of four vehicles that brake now and then; each is in some frames alone, and the clock may go back."""
+def drives(choose: Random, count: int, tick: float, deceleration: float) -> list[Frame]:
+    """Return frames of four vehicles that brake now and then; each is in some frames alone, and the clock may go back.
+
+    Many brake about as hard, and for about as long, as makes a difference.
+    """
     speeds, ways = dict.fromkeys(range(1, 5), 20.0), dict.fromkeys(range(1, 5), 0.0)
     rates, presence = dict.fromkeys(speeds, 0.0), {id: choose.choice((1.0, 1.0, 0.7, 0.1)) for id in speeds}
+    left, limits = dict.fromkeys(speeds, 0), (deceleration, twin.TYRES, 1.1 * twin.TYRES)
     has_velocities, restarts, frames, elapsed = choose.choice((0.0, 0.5, 1.0)), choose.choice((0.0, 0.02)), [], 0.0
     for number in range(count):
         poses, velocities = [], []
         for id in speeds:
-            if choose.random() < tick / 0.4:
-                rates[id] = choose.choice((0.0, 0.0, choose.uniform(-12, 12), choose.uniform(-80, 10)))
+            left[id] -= 1
+            if left[id] <= 0:
+                about = -choose.choice(limits) * choose.choice((0.999, 1.001))
+                rates[id] = choose.choice((0.0, 0.0, 12.0, choose.uniform(-80, 10), about, about, about))
+                seconds = choose.choice((0.1, 0.3, 0.3, 1.0, choose.expovariate(2.5)))
+                left[id] = round(seconds / tick) + choose.choice((-1, 0, 0, 1))
             speeds[id] = min(max(speeds[id] + rates[id] * tick, 0.0), 45.0)
             ways[id] += speeds[id] * tick
             if choose.random() < presence[id]:
@@ -165,7 +173,7 @@ def drives(choose: Random, count: int, tick: float) -> list[Frame]:
 @given(
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(0, 120),
-    tick=st.floats(0.001, 0.6),
+    tick=st.sampled_from((0.05, 0.1, 0.02)) | st.floats(0.001, 0.6),
     block=st.integers(1, 1000),
     cells=st.integers(1, 500),
     collected=st.integers(1, 2000),
@@ -175,7 +183,7 @@ def drives(choose: Random, count: int, tick: float) -> list[Frame]:
 def test_as_the_twin_has_it_in_blocks_of_any_size(
     seed: int, count: int, tick: float, block: int, cells: int, collected: int, deceleration: float
 ) -> None:
-    frames = drives(Random(seed), count, tick)
+    frames = drives(Random(seed), count, tick, deceleration)
     detector = BrakingDetector(range(1, 5), deceleration)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(braking, "_BLOCK", block)

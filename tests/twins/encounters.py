@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    from carla_recap.model.contacts import Contact, Contacts
-    from carla_recap.model.lives import ActorLife, ActorLives
-    from carla_recap.queries.measures.motion_table import MotionTable
+from carla_recap.model.contacts import Contact, Contacts
+from carla_recap.model.lives import ActorLife, ActorLives
+from carla_recap.queries.measures.motion_table import MotionTable
 
 STEP = 0.05
 
@@ -227,20 +226,10 @@ class Twin:
     def grid(self, row: int) -> dict[int, tuple[Pose, bool]]:
         """Return the poses of an actor at the multiples of 0.05 s, and whether it may be thrown."""
         found = {}
-        for frame, time in enumerate(self.time):
-            pose, number = self.poses[row][frame], round(time / STEP)
-            if pose is not None and abs(number * STEP - time) <= 1e-6:
-                found[number] = pose, self.thrown(row, time)
-            if not self.joined(row, frame):
-                continue
-            following = self.poses[row][frame + 1]
-            seconds = self.time[frame + 1] - time
-            for number in range(math.ceil(time / STEP), math.floor(self.time[frame + 1] / STEP) + 1):
-                share = (number * STEP - time) / seconds
-                if 1e-6 < share * seconds < seconds - 1e-6:
-                    yaw = pose.yaw + share * math.remainder(following.yaw - pose.yaw, 2 * math.pi)
-                    mixed = [p + share * (q - p) for p, q in zip(pose, following, strict=True)]
-                    found[number] = Pose(*mixed)._replace(yaw=yaw), self.thrown(row, time)
+        for number in range(round(self.time[0] / STEP), round(self.time[-1] / STEP) + 1):
+            time = number * STEP
+            if (pose := self.at(row, time, time)) is not None:
+                found[number] = pose, self.thrown(row, max(each for each in self.time if each <= time + 1e-6))
         return found
 
     def crossings(self, longest: float, speed: float, *, only_vehicles: bool) -> list[tuple[int, int, Miss]]:
@@ -309,14 +298,15 @@ class Twin:
             end += 1
         if not self.time[begin] - 1e-6 <= time <= self.time[end] + 1e-6:
             return None
-        time = min(max(time, self.time[begin]), self.time[end])
-        for now in range(begin, end):
-            if self.time[now] <= time <= self.time[now + 1]:
+        for now in range(begin, end + 1):
+            if abs(time - self.time[now]) <= 1e-6:
+                return self.poses[row][now]
+            if self.time[now] < time < self.time[now + 1] - 1e-6:
                 a, b = self.poses[row][now], self.poses[row][now + 1]
                 share = (time - self.time[now]) / (self.time[now + 1] - self.time[now])
                 yaw = a.yaw + share * math.remainder(b.yaw - a.yaw, 2 * math.pi)
                 return Pose(*(p + share * (q - p) for p, q in zip(a, b, strict=True)))._replace(yaw=yaw)
-        return self.poses[row][begin]
+        return None
 
     def refined(self, first: int, second: int, arrived: int, lag: int) -> float:
         """Return the time between leaving and arriving in steps of 0.005 s."""
@@ -347,7 +337,7 @@ class Twin:
         for pair, misses in critical.items():
             for miss in _joined(sorted(misses, key=lambda miss: miss.start)):
                 contacts = self.contacts_of(*pair)
-                if not any(miss.start <= each.stop + 5 and each.start <= miss.stop + 3 for each in contacts):
+                if not any(miss.start <= each.stop + 5 and each.start - 3 <= miss.stop for each in contacts):
                     found.append(miss)
         return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))
 

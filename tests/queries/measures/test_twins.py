@@ -7,6 +7,7 @@ import os
 from collections import defaultdict
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -21,10 +22,11 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import encroachment, measures, time_series
 from carla_recap.queries.measures import motion_table as tables
 from carla_recap.queries.measures.definitions import NO_OTHER
+from carla_recap.queries.measures.encroachment import Encounter
 from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.recorded_actors import lives_and_contacts
-from tests.queries.measures.traffic import traffic
+from tests.queries.measures.traffic import approach, crossing, traffic
 from tests.twins.encounters import Twin
 
 OTHERS = ("nearest", "threat", "leader")
@@ -39,6 +41,14 @@ def twin_of(reader: Reader) -> Twin:
         found = [table for batch in reader.batches(MOTION) for table in collector.add(batch)]
         (table,) = [*found, *collector.finish()]
     return Twin(table, lives, contacts)
+
+
+def near_misses(reader: Reader, longest: float, soonest: float, deceleration: float) -> list[Encounter]:
+    limits = {"time_to_collision": longest, "post_encroachment_time": soonest, "required_deceleration": deceleration}
+    detector = NearMissDetector(*lives_and_contacts(reader), **limits)
+    for batch in reader.batches(MOTION):
+        detector.batch(batch)
+    return detector.finish()
 
 
 @settings(max_examples=EXAMPLES)
@@ -61,18 +71,44 @@ def test_near_misses(
         patch.object(encroachment, "_BLOCK", moments),
     ):
         expected = twin_of(reader).near_misses(longest, soonest, deceleration)
-        detector = NearMissDetector(
-            *lives_and_contacts(reader),
-            time_to_collision=longest,
-            post_encroachment_time=soonest,
-            required_deceleration=deceleration,
-        )
-        for batch in reader.batches(MOTION):
-            detector.batch(batch)
-        found = detector.finish()
+        found = near_misses(reader, longest, soonest, deceleration)
     assert [(each.one.id, each.other.id) for each in found] == [(each.id1, each.id2) for each in expected]
     for each, twin in zip(found, expected, strict=True):
         assert [getattr(each, name) for name in twin._fields[2:]] == pytest.approx(list(twin[2:]), abs=1e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "value", "by", "others"),
+    [
+        (crossing, "speed", 1.0, 1e-3, {}),
+        (crossing, "faster", 3.0, 1e-3, {}),
+        (crossing, "turn", 30.0, 0.1, {}),
+        (crossing, "turn", 150.0, 0.1, {"time_to_collision": 0.0, "lag": 1.1}),
+        (crossing, "z", 1.5, 1e-3, {}),
+        (crossing, "lag", 1.0, 0.01, {}),
+        (crossing, "contact", 8.75, 0.15, {}),
+        (crossing, "contact", 0.95, 0.15, {"of": (1, 3)}),
+        (approach, "closest", 1.5, 1e-3, {}),
+        (approach, "closest", 1.2, 1e-3, {"deceleration": 5.0}),
+        (approach, "beside", 2.0, 1e-3, {}),
+        (approach, "z", 2.0, 1e-3, {}),
+        (approach, "pause", 3.0, 0.1, {}),
+        (approach, "contact", 9.0, 0.1, {}),
+        (approach, "contact", 1.0, 0.1, {"of": (1, 3)}),
+    ],
+)
+def test_near_misses_just_below_and_just_above_what_decides(
+    tmp_path: Path, record: Any, name: str, value: float, by: float, others: dict[str, Any]
+) -> None:
+    limits = {"time_to_collision": 1.5, "deceleration": 0.0} | others
+    longest, deceleration = limits.pop("time_to_collision"), limits.pop("deceleration")
+    found = []
+    for each in (value - by, value + by):
+        with closing(open_reader(record(tmp_path / "met.mcap", **{name: each, **limits}))) as reader:
+            expected = twin_of(reader).near_misses(longest, 1.0, deceleration)
+            found.append([each.stop for each in near_misses(reader, longest, 1.0, deceleration)])
+        assert found[-1] == pytest.approx([each.stop for each in expected])
+    assert found[0] != found[1]
 
 
 @settings(max_examples=EXAMPLES)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from carla_recap.model.records import Spawn, attributes
 from tests.queries.conftest import write
+from tests.queries.measures.conftest import Mover, record, straight
 
 LIGHT: Final = 90
 """The id of a traffic light."""
@@ -77,3 +78,49 @@ def traffic(path: Path, seed: int) -> Path:
         for frame in range(begin, min(begin + int(random.integers(1, 4)), frames)):
             packets[frame]["collisions"] = [(0, int(pair[0]), int(pair[1]), 0, 0)]
     return write(path, packets, durations=[*durations[:-1].tolist(), -1.0])
+
+
+Contact = tuple[int, int]
+
+
+def crossing(
+    path: Path,
+    *,
+    speed: float = 8.0,
+    faster: float = 10.0,
+    turn: float = 90.0,
+    z: float = 0.0,
+    lag: float = 0.5,
+    contact: float = -1.0,
+    of: Contact = (1, 2),
+    kind: int = 1,
+) -> Path:
+    """Record a car that arrives at the origin after 6 s, where another actor has left, some seconds before."""
+    left, start = 6.0 - 3 / speed - 3 / faster - lag, 6.0 * faster
+    x, y = -start * math.cos(math.radians(turn)), -start * math.sin(math.radians(turn))
+    other = straight(2, -left * speed, 0, speed, z=z, kind=kind, type_id="vehicle.a" if kind == 1 else "walker.a")
+    return _met(path, [straight(1, x, y, faster, turn), other], contact, of)
+
+
+def approach(
+    path: Path,
+    *,
+    closest: float = 0.75,
+    beside: float = 0.0,
+    z: float = 0.0,
+    pause: float = 9.0,
+    contact: float = -1.0,
+    of: Contact = (1, 2),
+) -> Path:
+    """Record a car of 12 m/s, which vanishes after 6 s, some seconds before it hits a standing one, and comes again."""
+
+    def x(time: float) -> float:
+        return 12.0 * (time if time < 5.99 + pause else time - pause)
+
+    car = Mover(1, x, present=lambda time: time < 6.01 or 5.99 + pause < time < 6.21 + pause)
+    return _met(path, [car, straight(2, 4 + 12 * (6 + closest), beside, 0, z=z)], contact, of)
+
+
+def _met(path: Path, cars: list[Mover], contact: float, of: Contact) -> Path:
+    events: dict[int, Any] = {round(contact * 10): {"collisions": [(0, *of, 0, 0)]}} if contact >= 0 else {}
+    return record(path, [*cars, straight(3, 0, 300, 0)], 9.5, 10, events)
