@@ -6,6 +6,7 @@ import logging
 import os
 import pty
 import re
+import resource
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, chdir, contextmanager, redirect_stderr, redirect_stdout
+from functools import partial
 from multiprocessing.resource_tracker import ensure_running
 from pathlib import Path
 from typing import Any, TextIO
@@ -52,6 +54,13 @@ def run(*arguments: object, cwd: Path | None = None, **options: Any) -> Done:
     with written(*os.pipe()) as (out, printed), written(*os.pipe()) as (err, said):
         code = run_here(words, out, err, cwd)
         return Done(words, code, printed(), said())
+
+
+def run_on_full_disk(size: int, *arguments: object) -> Done:
+    """Run the command where no file can grow beyond a size in bytes, as on a full disk."""
+    environment = {**ENVIRONMENT, "PYTHONDONTWRITEBYTECODE": "1"}  # since Python takes bytecode that is cut for whole
+    limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
+    return run(*arguments, preexec_fn=limit, env=environment)
 
 
 def printed(*arguments: str) -> tuple[int, str]:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import resource
-import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import CROSSING, error, run, wrote
+from tests.cli.command import CROSSING, error, run, run_on_full_disk, wrote
 from tests.samples import names_in
 from tests.sensors.cars import drive
 
@@ -74,15 +72,8 @@ def test_a_bad_rig_and_an_unknown_actor_are_errors_that_name_them(tmp_path: Path
 
 
 def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, rig: Any) -> None:
-    """As on a full disk, the file cannot grow."""
-    size = 20_000
-    path, target = rig(IMU), tmp_path / "out.mcap"
-
-    def limited() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    done = run("sense", CROSSING, target, "--rig", path, preexec_fn=limited)
+    target = tmp_path / "out.mcap"
+    done = run_on_full_disk(20_000, "sense", CROSSING, target, "--rig", rig(IMU))
     assert done.returncode == 2
     assert f"{target}: cannot be written: File too large" in done.stderr.decode().splitlines()[-1]
     assert b"Traceback" not in done.stderr

@@ -42,10 +42,6 @@ def picky(source):
     return len(source.location)
 
 
-def wrong(source):
-    raise KeyError(source.location)
-
-
 def end_always(source, folder):
     """End the process with recording 20, as often as it is tried; count the attempts."""
     if source.location.endswith("/20.log"):
@@ -110,11 +106,6 @@ def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none(cli
     assert errors == {"s3://bucket/20.log": "s3://bucket/20.log: its worker processes end"}
     assert [outcome.source for outcome in outcomes] == sources(40)
     assert list(tmp_path.iterdir())
-
-
-def test_another_error_of_the_function_is_raised(client):
-    with pytest.raises(KeyError), time_limit():
-        list(map_sources(wrong, sources(3), client=client))
 
 
 def test_workers_open_absolute_paths_and_messages_have_those_that_were_given(client, monkeypatch, tmp_path):

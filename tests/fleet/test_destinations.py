@@ -1,4 +1,4 @@
-"""The folder of the files of many recordings: what can be one, and the names in it."""
+"""The folder of the files of many recordings: what can be one, and the names in it; and a disk that is full."""
 
 from __future__ import annotations
 
@@ -8,15 +8,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.destinations import DestinationFolder
-from carla_recap.fleet.sources import SourceFile
-
-
-@pytest.mark.parametrize("name", ["new", "old", "s3://bucket/runs/"])
-def test_a_file_has_the_name_of_its_recording(tmp_path, name):
-    (tmp_path / "old").mkdir()
-    folder = DestinationFolder(name if "://" in name else str(tmp_path / name), ".mcap")
-    assert folder.file_of(SourceFile("runs/a/b.log", name="a/b.log")) == f"{folder.location}/a/b.mcap"
-    assert not folder.location.endswith("/")
+from tests.cli.command import run_on_full_disk
+from tests.fleet.campaign import functions
+from tests.samples import SAMPLES, names_in
 
 
 def test_a_folder_of_a_drive_that_is_missing_is_no_error_yet(monkeypatch):
@@ -39,3 +33,30 @@ def test_what_cannot_be_a_folder_is_an_error_of_one_short_line(tmp_path, name, m
         DestinationFolder(name if "://" in name else str(tmp_path / name), ".mcap")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("command", "errors"),
+    [
+        (
+            ("check", SAMPLES / "crash.mcap", "--rules", SAMPLES / "rules.toml", "--jobs", "1", "--clips", "--html"),
+            ("{out}/clips/crash.mcap: cannot be written: File too large", "carla-recap: {out}: cannot be written: File too"),
+        ),
+        (
+            ("campaign", f"{functions.__file__}:wait_here", "--duration", "20", "--workers", "1", "--out"),
+            (
+                "carla-recap: seed=1.mcap: cannot be written: File too",
+                "carla-recap: {out}/campaign.json: cannot be written",
+            ),
+        ),
+    ],
+)
+def test_a_full_disk_is_an_error_that_names_what_was_asked_for_and_leaves_nothing(tmp_path, command, errors):
+    out = tmp_path / "new" / "out"
+    done = run_on_full_disk(100, *command, out)
+    lines = done.stderr.decode().splitlines()
+    assert done.returncode == 2
+    assert len(lines) == len(errors)
+    for line, expected in zip(lines, errors, strict=True):
+        assert expected.format(out=out) in line
+    assert names_in(tmp_path) == []

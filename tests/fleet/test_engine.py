@@ -1,16 +1,16 @@
 from __future__ import annotations
 
-import gc
 import os
 import shutil
 from functools import partial
 
 import pytest
 
-from carla_recap import Closed, NotARecording, RecapError, RecapWarning, Recording, map_recordings, open_recordings
+from carla_recap import Closed, RecapError, RecapWarning, Recording, map_recordings, open_recordings
 from carla_recap.fleet.engine import map_sources, processors
 from carla_recap.fleet.sources import SourceFile
 from tests.cli.command import CROSSING
+from tests.waiting import PATIENCE
 
 
 def length(source: SourceFile, least: int) -> int:
@@ -33,10 +33,19 @@ def test_outcomes_come_in_order_and_errors_are_among_them(jobs):
     assert outcomes[2].error is None
 
 
-def test_one_job_runs_in_this_process_and_several_do_not():
-    source = SourceFile("a")
-    assert next(map_sources(process, [source], jobs=1)).value == os.getpid()
-    assert next(map_sources(process, [source], jobs=2)).value != os.getpid()
+@pytest.mark.parametrize(
+    ("source", "jobs", "here"),
+    [
+        (SourceFile("a"), 1, True),
+        (SourceFile("a"), 2, False),
+        (SourceFile("a"), None, True),  # as it is small
+        (SourceFile("a", size=1 << 30), None, False),
+    ],
+)
+def test_few_and_small_recordings_are_read_in_this_process(monkeypatch, source, jobs, here):
+    monkeypatch.setattr("carla_recap.fleet.engine._PATIENCE", PATIENCE)
+    monkeypatch.setattr("carla_recap.fleet.engine.processors", lambda: 2)
+    assert (next(map_sources(process, [source], jobs=jobs)).value == os.getpid()) == here
 
 
 def test_thousands_of_jobs_are_no_thousands_of_processes(monkeypatch):
@@ -59,44 +68,24 @@ def runs(tmp_path):
 
 def test_recordings_are_open_one_after_another(runs):
     seen = []
-    for recording in open_recordings([runs / "a.log", runs / "c.mcap"]):
-        assert recording.collisions()
-        seen.append(recording)
-    assert [recording.path.name for recording in seen] == ["a.log", "c.mcap"]
+    for source in (runs / "a.log", f"{runs}/c.*"):  # one source needs no list
+        for recording in open_recordings(source):
+            assert recording.collisions()
+            seen.append(recording)
+    seen += open_recordings([runs / "a.log", runs / "c.mcap"])
+    assert [recording.path.name for recording in seen] == ["a.log", "c.mcap"] * 2
     for recording in seen:
         with pytest.raises(Closed):
             recording.collisions()
 
 
-def test_one_source_needs_no_list(runs):
-    for source in (runs / "c.mcap", f"{runs}/c.*", str(runs / "c.mcap")):
-        assert [recording.path.name for recording in open_recordings(source)] == ["c.mcap"]
-
-
-def test_an_iteration_that_ends_early_closes_the_recording(runs):
-    recordings = open_recordings(runs)
-    recording = next(iter(recordings))
-    del recordings
-    gc.collect()
-    with pytest.raises(Closed):
-        recording.collisions()
-
-
-def test_a_broken_recording_is_an_error(runs):
-    with pytest.raises(NotARecording, match=r"b\.log"):
-        list(open_recordings(runs))
-
-
-def test_a_broken_recording_is_a_warning_if_wanted(runs):
-    with pytest.warns(RecapWarning, match=r"b\.log.* is not a recording"):
-        assert [recording.path.name for recording in open_recordings(runs, errors="warn")] == ["a.log", "c.mcap"]
-
-
-def test_a_source_without_recordings(runs):
-    with pytest.raises(RecapError, match="no recordings"):
-        list(open_recordings(f"{runs}/*.json"))
-    with pytest.warns(RecapWarning, match="no recordings"):
-        assert not list(open_recordings(f"{runs}/*.json", errors="warn"))
+@pytest.mark.parametrize(("sources", "said"), [("", r"b\.log.* is not a recording"), ("/*.json", "no recordings")])
+def test_what_cannot_be_opened_is_an_error_or_a_warning(runs, sources, said):
+    with pytest.raises(RecapError, match=said):
+        list(open_recordings(f"{runs}{sources}"))
+    with pytest.warns(RecapWarning, match=said):
+        found = [recording.path.name for recording in open_recordings(f"{runs}{sources}", errors="warn")]
+    assert found == ([] if sources else ["a.log", "c.mcap"])
 
 
 def test_a_method_is_called_for_each_recording(runs):

@@ -19,7 +19,7 @@ from tests.fleet.indexes import contents
 from tests.samples import SAMPLES
 from tests.waiting import wait_until
 
-pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
+duckdb = pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
 WRITE = """
 import sys
@@ -130,39 +130,31 @@ def _state(index):
 
 
 @pytest.mark.parametrize(
-    ("rows", "pause", "seen"), [(1, 1000.0, [0, 1, 2]), (10**6, 0.0, [0, 1, 2]), (10**6, 1000.0, [0, 0, 0])]
+    ("rows", "pause", "share", "seen"),
+    [
+        (1, 1000.0, 0.0, [*range(8)]),
+        (10**6, 0.0, 0.0, [*range(8)]),
+        (10**6, 1000.0, 0.0, [0] * 8),
+        (10**6, 1.0, 0.5, [0, 1, 2, 2, 4, 4, 4, 4]),  # written after 10, 20, 40 and 80 s
+    ],
 )
-def test_rows_are_written_when_they_are_many_or_have_waited(runs, tmp_path, monkeypatch, rows, pause, seen):
-    monkeypatch.setattr("carla_recap.fleet.index.writing._ROWS", rows)
-    monkeypatch.setattr("carla_recap.fleet.index.writing._PAUSE", pause)
-    monkeypatch.setattr("carla_recap.fleet.index.writing._SHARE", 0.0)
-    found = []
-
-    def watched(outcomes, count):
-        for outcome in outcomes:
-            found.append(open_index(tmp_path / "index").table("recordings").num_rows)
-            yield outcome
-
-    write_index([runs], tmp_path / "index", jobs=1, progress=watched)
-    assert found[:3] == seen
-    assert len(contents(tmp_path / "index")["recordings"]) == 4
-
-
-def test_the_pause_between_transactions_grows_with_the_time_of_a_run(tmp_path, monkeypatch):
+def test_rows_are_written_when_they_are_many_or_have_waited(tmp_path, monkeypatch, rows, pause, share, seen):
     make(tmp_path / "runs", 8, 1)
-    now, times = 0.0, []
+    now, found = 0.0, []
 
     def watched(outcomes, count):
         nonlocal now
         for outcome in outcomes:
             now += 10.0
-            times.append(open_index(tmp_path / "index").table("recordings").num_rows)
+            found.append(open_index(tmp_path / "index").table("recordings").num_rows)
             yield outcome
 
     monkeypatch.setattr("carla_recap.fleet.index.writing.monotonic", lambda: now)
-    monkeypatch.setattr("carla_recap.fleet.index.writing._SHARE", 0.5)
+    for name, value in (("_ROWS", rows), ("_PAUSE", pause), ("_SHARE", share)):
+        monkeypatch.setattr(f"carla_recap.fleet.index.writing.{name}", value)
     write_index([tmp_path / "runs"], tmp_path / "index", jobs=1, progress=watched)
-    assert times == [0, 1, 2, 2, 4, 4, 4, 4]  # written after 10, 20, 40 and 80 s
+    assert found == seen
+    assert open_index(tmp_path / "index").table("recordings").num_rows == 8
 
 
 def test_recordings_that_were_read_before_an_interruption_are_kept(runs, tmp_path):
@@ -217,22 +209,61 @@ def test_a_changed_bit_is_an_error_or_changes_nothing(written, tmp_path):
     assert errors > 5
 
 
-@pytest.mark.parametrize("content", [b"", b"no database", b"SQLite format 3\0", b"PAR1" * 5000, bytes(20000)])
-def test_a_file_of_something_else_is_an_error_and_stays(tmp_path, content):
-    (tmp_path / "index").write_bytes(content)
-    for use in (open_index, lambda index: write(SAMPLES / "crash.mcap", index)):
-        with pytest.raises(
-            RecapError, match=r"is no index of recordings|if the index is damaged|is empty; remove"
-        ) as caught:
-            use(tmp_path / "index")
+def database(*statements):
+    """Return a function that makes or changes a database."""
+
+    def change(path):
+        with duckdb.connect(path) as opened:
+            for statement in statements:
+                opened.execute(statement)
+
+    return change
+
+
+def index_and(statement):
+    """Return a function that makes an index and changes it."""
+
+    def make(path):
+        write_index([SAMPLES / "crash.mcap"], path, jobs=1)
+        database(statement)(path)
+
+    return make
+
+
+def earlier_index(path):
+    path.mkdir()
+    (path / "index.json").write_text("{}")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (Path.touch, "is empty; remove it"),
+        (Path.mkdir, "is a folder"),
+        (os.mkfifo, "no regular file"),
+        (lambda path: path.write_bytes(b"no database"), "is no index of recordings"),
+        (lambda path: path.write_bytes(bytes(20000)), "is no index of recordings|if the index is damaged"),
+        (database("create table mine as select 1 as a"), "is no index of recordings"),
+        (earlier_index, r"an earlier version .* 'carla-recap index SOURCE\.\.\. .*index\.duckdb' makes"),
+        (index_and("alter table incidents drop column text"), "another version of carla-recap; remove it, and 'carla-recap"),
+        (index_and("drop table sensors"), "another version of carla-recap; remove it"),
+    ],
+)
+def test_what_is_no_index_is_an_error_and_stays(tmp_path, make, message):
+    index = tmp_path / "index"
+    make(index)
+    before = index.read_bytes() if index.is_file() else None
+    for use in (open_index, lambda path: write(SAMPLES / "crash.mcap", path)):
+        with pytest.raises(RecapError, match=message) as caught:
+            use(index)
         assert "\n" not in str(caught.value)
-    assert (tmp_path / "index").read_bytes() == content
+    assert (index.read_bytes() if index.is_file() else None) == before
 
 
-@pytest.mark.parametrize("index", ["file/index", "\0", "\udcff", "x" * 5000])
+@pytest.mark.parametrize("index", ["{}/file/index", "{}/\0", "{}/\udcff", "{}/" + "x" * 5000, "s3://bucket/index"])
 def test_a_destination_that_cannot_be_a_file_is_an_error(tmp_path, index):
     (tmp_path / "file").touch()
     with pytest.raises(RecapError) as caught:
-        write(SAMPLES / "crash.mcap", f"{tmp_path}/{index}")
+        write(SAMPLES / "crash.mcap", index.format(tmp_path))
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500

@@ -32,8 +32,9 @@ def names(sources, folder):
         (("/missing.log",), ["missing.log"]),  # is left to whatever opens it
     ],
 )
-def test_folders_globs_and_files_mean_recordings(folder, sources, found):
-    assert names([f"{folder}{source}" for source in sources], folder) == found
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_folders_globs_and_files_mean_recordings(folder, sources, found, scheme):
+    assert names([f"{scheme}{folder}{source}" for source in sources], folder) == found
 
 
 @pytest.mark.parametrize("source", ["", "/**/*.*"])
@@ -56,12 +57,6 @@ def test_a_link_that_leads_elsewhere_now_is_followed_anew(tmp_path):
         link.unlink(missing_ok=True)
         link.symlink_to(tmp_path / name)
         assert len(list(find_sources([link, tmp_path / "one"]))) == count
-
-
-def test_sizes_and_times_are_those_of_the_files(folder):
-    found, missing = find_sources([folder / "a.log", folder / "missing.log"])
-    assert (found.size, found.modified) == (5, (folder / "a.log").stat().st_mtime)
-    assert missing.size is None
 
 
 @pytest.mark.parametrize("source", ["*.json", "empty"])
@@ -88,11 +83,29 @@ def test_a_folder_that_cannot_be_listed_hides_no_recordings(folder, monkeypatch)
     assert missing.error == f"{folder}/deep: Permission denied"
 
 
-def test_a_form_means_one_recording_or_many(folder):
-    assert means_one(folder / "a.log")
-    assert means_one(folder / "missing.log")
-    assert not means_one(folder)
-    assert not means_one(folder / "*.log")
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("{}/a.log", True),
+        ("{}/missing.log", True),
+        ("file://{}/a.log", True),
+        ("http://[::1]/a.mcap?x=*&y=[]", True),
+        ("https://host/download/17", True),
+        ("s3://runs/deep/a.LOG", True),
+        ("{}", False),
+        ("{}/*.log", False),
+        ("file://{}/deep", False),
+        ("s3://runs/*.mcap", False),
+        ("s3://runs/deep/", False),
+        ("gs://runs", False),
+        ("-", False),
+    ],
+)
+def test_a_form_means_one_recording_or_many(folder, source, expected):
+    source = source.format(folder)
+    assert means_one(source) == expected
+    if expected:
+        assert [found.location for found in find_sources([source, source])] == [source.removeprefix("file://")]
 
 
 def test_a_list_on_stdin(folder, monkeypatch):
@@ -101,33 +114,28 @@ def test_a_list_on_stdin(folder, monkeypatch):
     assert names([folder / "c.txt", "-"], folder) == ["c.txt", "b.mcap", "deep/d.LOG"]
 
 
-def test_file_urls_mean_paths(folder):
-    assert names([(folder / "a.log").as_uri(), (folder / "deep").as_uri()], folder) == ["a.log", "deep/d.LOG"]
-    assert means_one((folder / "a.log").as_uri())
-    assert not means_one((folder / "deep").as_uri())
+def test_an_empty_list_is_an_error(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"\n")))
+    with pytest.raises(RecapError, match="stdin: no recordings"):
+        list(find_sources(["-"], errors="yield"))
 
 
-@pytest.mark.parametrize("url", ["http://host/runs/*.mcap", "https://host/runs/", "http://[::1]/[ab].log"])
-def test_web_servers_list_no_files(url):
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("http://host/runs/*.mcap", "a web server does not list its files; name each file"),
+        ("https://host/runs/", "a web server does not list"),
+        ("http://[::1]/[ab].log", "a web server does not list"),
+        ("ftp://host/a.log", "unknown kind of URL"),
+        ("", "'': a path or a URL was expected"),
+    ],
+)
+def test_what_means_nothing_is_an_error_or_a_row(source, message):
     with pytest.raises(RecapError) as caught:
-        list(find_sources([url]))
-    assert str(caught.value) == f"{url}: a web server does not list its files; name each file"
-
-
-@pytest.mark.parametrize("url", ["http://[::1]/a.mcap?x=*&y=[]", "https://host/download/17", "s3://runs/deep/a.LOG"])
-def test_a_url_that_is_named_is_one_recording(url):
-    assert means_one(url)
-    assert [source.location for source in find_sources([url, url])] == [url]
-
-
-@pytest.mark.parametrize("source", ["s3://runs/*.mcap", "s3://runs/deep/", "gs://runs", "az://runs/deep", "-"])
-def test_a_url_means_many_by_its_form(source):
-    assert not means_one(source)
-
-
-def test_a_url_of_an_unknown_kind():
-    with pytest.raises(RecapError, match=r"ftp://host/a\.log: unknown kind of URL"):
-        list(find_sources(["ftp://host/a.log"]))
+        list(find_sources([source]))
+    assert str(caught.value).startswith(source)
+    assert message in str(caught.value)
+    assert [found.error for found in find_sources([source, "a.log"], errors="yield")] == [str(caught.value), None]
 
 
 @pytest.fixture(scope="module")
@@ -187,25 +195,8 @@ def test_a_bucket_that_does_not_exist(bucket):
         list(find_sources(["s3://other/runs/"]))
 
 
-def test_an_empty_list_is_an_error(monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"\n")))
-    with pytest.raises(RecapError, match="stdin: no recordings"):
-        list(find_sources(["-"], errors="yield"))
-
-
 @pytest.mark.parametrize("name", ["x" * 5000, "x" * 5000 + "*", "a\0b.log", "a\0*.log", "[", "nonsense://x"])
 def test_a_name_that_no_file_has_is_an_error_or_a_row(name):
     (found,) = find_sources([name], errors="yield")
     assert found.location == name
     assert found.size is None
-
-
-def test_an_empty_path_means_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.log").touch()
-    with pytest.raises(RecapError, match="'': a path or a URL was expected"):
-        list(find_sources([""]))
-    assert [source.error for source in find_sources(["", "a.log"], errors="yield")] == [
-        "'': a path or a URL was expected",
-        None,
-    ]

@@ -147,17 +147,6 @@ def test_a_script_without_a_guard_has_an_error_that_says_so(tmp_path):
     assert "the worker processes do not start (exit code 1)" in done.stderr.decode().splitlines()[-1]
 
 
-def test_few_and_small_recordings_are_read_in_this_process(monkeypatch):
-    monkeypatch.setattr("carla_recap.fleet.engine._PATIENCE", PATIENCE)
-    assert {outcome.value for outcome in map_sources(process, sources(20))} == {os.getpid()}
-
-
-def test_large_recordings_are_read_by_workers(monkeypatch):
-    monkeypatch.setattr("carla_recap.fleet.engine.processors", lambda: 2)
-    large = [SourceFile(f"{index}.log", size=1 << 30) for index in range(4)]
-    assert os.getpid() not in {outcome.value for outcome in map_sources(process, large)}
-
-
 def test_many_outcomes_are_not_held_while_none_is_asked_for():
     taken = 0
 
@@ -187,15 +176,6 @@ def test_workers_that_are_busy_end_at_once(tmp_path):
         list(map_sources(partial(wait_for, folder=tmp_path), sources(5), jobs=2))
     assert started.is_set()
     assert not multiprocessing.active_children()
-
-
-def test_an_error_of_the_sources_is_raised():
-    def broken():
-        yield SourceFile("a")
-        raise RecapError("no more")
-
-    with pytest.raises(RecapError, match="no more"):
-        list(map_sources(process, broken(), jobs=2))
 
 
 def interrupts_are_held(_):

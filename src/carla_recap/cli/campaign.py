@@ -195,15 +195,15 @@ class CampaignRequest:
         return Scoring(None, road_map=self.road_map) if self.from_drive else None
 
     def folder_of_report(self) -> Path | None:
-        """Return the folder of pages, which is made; None if the recordings go to an object store, and none was given."""
+        """Return the folder of pages; None if the recordings go to an object store, and none was given."""
         from carla_recap.formats.sources import is_remote
-        from carla_recap.util.files import make_folder
+        from carla_recap.util.files import made_folder
 
         if self.report is None and is_remote(self.out):
             return None
         folder = Path(self.report or self.out)
-        make_folder(folder)
-        return folder
+        with made_folder(folder):
+            return folder
 
 
 def _parameters(params: Sequence[str], *, is_search: bool) -> dict[str, Sequence[Value] | ParameterRange]:

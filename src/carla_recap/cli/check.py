@@ -87,7 +87,7 @@ def check(
             shown = (
                 judged
                 if room is None
-                else _write_pages(judged, rules, room, messages, clips=clips, road_map=road_map, jobs=request.jobs)
+                else _write_pages(judged, rules, room, messages, html, clips=clips, road_map=road_map, jobs=request.jobs)
             )
         checked = shown if html is None else [each.in_folder(html) for each in shown]
         messages.end()
@@ -134,16 +134,17 @@ def _write_pages(
     rules: RuleSet,
     room: Path,
     messages: Messages,
+    html: str | None,
     *,
     clips: bool,
     road_map: str | None,
     jobs: int | None,
 ) -> list[CheckedRecording]:
-    """Write the pages and the overview into a folder; return the recordings with the paths of their pages."""
+    """Write the pages and the overview into a folder that becomes `html`; return the recordings with their pages' paths."""
     from carla_recap.fleet.pages import overview, write_pages
 
     checked = []
-    with closing(write_pages(judged, room, clips=clips, road_map=road_map, jobs=jobs)) as written:
+    with closing(write_pages(judged, room, clips=clips, road_map=road_map, shown=html, jobs=jobs)) as written:
         for each, warnings in written:
             checked.append(each)
             messages.add(each.recording, warnings)

@@ -100,7 +100,7 @@ def score(
     not kept, 2 if a recording cannot be scored.
     """
     from carla_recap.fleet.junit import prepare_junit, write_junit
-    from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
+    from carla_recap.fleet.scores import ScoreLimits, score_sources
     from carla_recap.queries.score import ScoreOptions, read_routes
     from carla_recap.queries.score.checkpoint import checkpoint
 
@@ -129,7 +129,7 @@ def score(
         text = partial(_lines, scores[0]) if len(scores) == 1 else partial(_text, scores)
         table = text if len(scores) == 1 else lambda: print_table(_COLUMNS, _rows(scores))
         emit(form, json=lambda: indented(checkpoint(scores)), text=text, table=table)
-    judged = [checked(outcome, allowed) for outcome in outcomes]
+    judged = [allowed.check(outcome) for outcome in outcomes]
     if junit:
         write_junit(judged, junit, suite=_SUITE)
         wrote(junit)

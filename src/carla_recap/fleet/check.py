@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.recording import open_recording
 from carla_recap.roads.find import plain_name
-from carla_recap.rules.rule_sets import RuleSet, Status, Verdict, check, unreadable
+from carla_recap.rules.rule_sets import RuleSet, Status, Verdict, check
 from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from typing import Unpack
 
     from carla_recap.fleet.engine import Processes
+    from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
 
 WORST_FIRST: Final[tuple[Status, ...]] = ("error", "fail", "pass")
@@ -27,29 +28,17 @@ WORST_FIRST: Final[tuple[Status, ...]] = ("error", "fail", "pass")
 
 @dataclass(frozen=True, slots=True)
 class CheckedRecording:
-    """A recording and the verdicts on it.
+    """A recording and the verdicts on it."""
 
-    Attributes:
-        recording: Its path or URL.
-        verdicts: The verdicts, in the order of the rules.
-        map: The name of its map; empty if it cannot be opened.
-        frames: The number of its frames.
-        duration: Its duration, in s.
-        warnings: The warnings, a line each.
-        page: The path of its incident page, relative to the folder of pages until `in_folder`; None if it has none.
-        clip: The path of the clip of the first failure, likewise; None if it has none.
-        sensors: The ids of the sensors whose data it has.
-    """
-
-    recording: str
-    verdicts: tuple[Verdict, ...]
-    map: str = ""
-    frames: int = 0
-    duration: float = 0.0
-    warnings: tuple[str, ...] = ()
-    page: str | None = None
-    clip: str | None = None
-    sensors: tuple[str, ...] = ()
+    recording: str  # its path or URL
+    verdicts: tuple[Verdict, ...]  # in the order of the rules
+    map: str = ""  # the name of its map; empty if it cannot be opened
+    frames: int = 0  # the number of its frames
+    duration: float = 0.0  # in s
+    warnings: tuple[str, ...] = ()  # a line each
+    page: str | None = None  # the path of its incident page, relative to the folder of pages until `in_folder`
+    clip: str | None = None  # the path of the clip of the first failure, likewise
+    sensors: tuple[str, ...] = ()  # the ids of the sensors whose data it has
     status: Status = field(init=False)
 
     def __post_init__(self) -> None:
@@ -82,19 +71,21 @@ def strict(checked: CheckedRecording) -> CheckedRecording:
 
 
 def check_sources(
-    sources: Iterable[SourceFile],
-    rules: RuleSet,
-    *,
-    road_map: str | None = None,
-    **processes: Unpack[Processes],
+    sources: Iterable[SourceFile], rules: RuleSet, *, road_map: str | None = None, **processes: Unpack[Processes]
 ) -> Generator[CheckedRecording]:
     """Yield many recordings with the verdicts on them, in their order; see `carla_recap.rules.rule_sets.check`."""
     for outcome in map_sources(partial(_checked, rules, road_map), sources, **processes):
         if outcome.value is None:
-            error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))
-            yield CheckedRecording(outcome.source.location, tuple(unreadable(rules, error)), warnings=outcome.warnings)
+            yield unread(outcome, [rule.name for rule in rules])
         else:
             yield replace(outcome.value, warnings=tuple(map(visible, outcome.warnings)))
+
+
+def unread(outcome: Outcome[Any], rules: Iterable[str]) -> CheckedRecording:
+    """Return a recording that cannot be read, with its error as the verdict of each rule."""
+    error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))
+    verdicts = tuple(Verdict(rule, "error", error) for rule in rules)
+    return CheckedRecording(outcome.source.location, verdicts, warnings=outcome.warnings)
 
 
 def _checked(rules: RuleSet, road_map: str | None, source: SourceFile) -> CheckedRecording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath
@@ -14,7 +14,7 @@ from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.outcomes import one_line
 from carla_recap.formats import SUFFIXES
 from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
-from carla_recap.util.files import make_folder, reason_of, size_of
+from carla_recap.util.files import make_folder, missing_folders, reason_of, remove_empty, size_of
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -131,14 +131,8 @@ class DestinationFolder:
                     self.skipped.append(path)
                     continue
                 if not is_remote(path):
-                    self.missing.update(folder for folder in Path(path).parents if not folder.exists())
+                    self.missing.update(missing_folders(Path(path).parent))
             yield source
-
-    def remove_empty(self) -> None:
-        """Remove the folders that were not there at first, and have no files."""
-        for folder in sorted(self.missing, key=lambda folder: len(folder.parts), reverse=True):
-            with suppress(OSError):
-                folder.rmdir()
 
     def _is_below(self, source: SourceFile) -> bool:
         """Return whether a recording was found in this folder, which is itself below the folder that was searched."""
@@ -195,7 +189,7 @@ def write_files(
                     yield outcome
             sources, folder.again = folder.again, []
     finally:
-        folder.remove_empty()
+        remove_empty(folder.missing)
 
 
 def _write_one(write: Write, folder: DestinationFolder, source: SourceFile) -> WrittenFile:

@@ -52,11 +52,11 @@ def map_sources(
 
     Memory does not grow with the number of recordings. If a worker process ends, as for want of memory, its recordings are
     read again by another one; a recording with which it ends again has an error. Worker processes are gone when the iterator
-    ends, or is closed.
+    ends, or is closed. That they do not start, or that the cluster is gone, is a `RecapError`.
 
     Args:
-        function: Is called with each recording, maybe in another process: a function of a module, or a partial of one. Its
-            `RecapError`, `OSError` or `MemoryError` is the outcome's error; others are raised.
+        function: A function of a module, or a partial of one. Its `RecapError`, `OSError` or `MemoryError` is the outcome's
+            error; others are raised.
         sources: The recordings.
         jobs: The number of worker processes, 32 or four for each processor at most; 1: this process alone; None: as many as
             there are processors, but this process alone while the recordings are few and small.
@@ -64,9 +64,6 @@ def map_sources(
         limit: The most seconds for a recording, which has an error then; inf for any number. A function with a limit may do
             whatever it wants to its process, which is always a worker process, on a cluster one of Dask's worker. If it has
             a method `prepare`, each worker process calls that first, which does not count.
-
-    Raises:
-        RecapError: The worker processes do not start, or the cluster is gone.
     """
     if client is not None:
         from carla_recap.fleet.cluster import map_on_cluster

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from carla_recap.fleet.check import WORST_FIRST
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
-from carla_recap.fleet.templates import render
 from carla_recap.show.page import Opening
-from carla_recap.util.text import visible
+from carla_recap.show.page.script import hash_source
+from carla_recap.util.resources import viewer_folder
+from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.rules.rule_sets import RuleSet, Status, Verdict
@@ -37,13 +43,13 @@ _OPEN: Final = 60  # recordings that pass, up to which they are shown at once
 _WORDS: Final[dict[Status, str]] = {"pass": "passed", "fail": "failed", "error": "not judged"}
 
 
-class _Wanted(NamedTuple):
-    """The files of a recording to be written."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PageSource(SourceFile):
+    """A recording, and the files of it to be written."""
 
     page: Path  # its incident page
     clip: Path | None  # that of an offence; None: none
     opening: Opening  # what the page shows first: the offence, and the broken rules
-    road_map: str | None  # the map, or the folder of maps; None: the usual folders
 
 
 class WrittenPage(NamedTuple):
@@ -60,6 +66,7 @@ def write_pages(
     *,
     clips: bool = False,
     road_map: str | None = None,
+    shown: Path | str | None = None,
     jobs: int | None = None,
 ) -> Generator[tuple[CheckedRecording, tuple[str, ...]]]:
     """Write the incident page of each recording that fails into a folder; yield each recording, and the warnings about it.
@@ -69,7 +76,7 @@ def write_pages(
     """
     failed = [each for each in checked if each.status == "fail"][:MOST]
     openings = {each.recording: opening_of(each.verdicts) for each in failed}
-    written = write_incident_pages(openings, folder, clips=clips, road_map=road_map, jobs=jobs)
+    written = write_incident_pages(openings, folder, clips=clips, road_map=road_map, shown=shown, jobs=jobs)
     for each in checked:
         if each.recording not in openings:
             yield each, ()
@@ -85,24 +92,21 @@ def write_incident_pages(
     clips: bool = False,
     road_map: str | None = None,
     force: bool = False,
+    shown: Path | str | None = None,
     jobs: int | None = None,
 ) -> Generator[WrittenPage]:
     """Write the incident pages of recordings below a folder, and yield where they are, in the order of the recordings.
 
-    The openings are what each page shows first; `force` replaces pages that exist.
+    The openings are what each page shows first; `force` replaces pages that exist. The folder is called `shown` in warnings.
     """
-    wanted = {}
-    for recording, name in zip(openings, _names(openings), strict=True):
-        opening = openings[recording]
+    wanted = []
+    for (recording, opening), name in zip(openings.items(), _names(openings), strict=True):
         clip_path = folder / CLIPS / f"{name}.mcap" if clips and opening.time is not None else None
-        wanted[recording] = _Wanted(folder / PAGES / f"{name}.html", clip_path, opening, road_map)
-    if wanted:
-        (folder / PAGES).mkdir(exist_ok=True)
-    if any(each.clip for each in wanted.values()):
-        (folder / CLIPS).mkdir(exist_ok=True)
-    for outcome in map_sources(partial(_write_files, wanted, force=force), map(SourceFile, wanted), jobs=jobs):
-        files = wanted[outcome.source.location]
-        failures = () if outcome.error is None else (visible(f"no page: {outcome.error}"),)
+        wanted.append(_PageSource(recording, page=folder / PAGES / f"{name}.html", clip=clip_path, opening=opening))
+    for outcome in map_sources(partial(_write_files, road_map, force), wanted, jobs=jobs):
+        files = cast("_PageSource", outcome.source)
+        error = (outcome.error or "").replace(str(folder), str(shown or folder))
+        failures = (visible(f"no page: {error}"),) if error else ()
         page, clip = (_relative(path, folder) for path in (files.page, files.clip))
         yield WrittenPage(page, clip, (*map(visible, outcome.warnings), *failures))
 
@@ -119,20 +123,19 @@ def _relative(path: Path | None, folder: Path) -> str | None:
     return path.relative_to(folder).as_posix() if path is not None and path.exists() else None
 
 
-def _write_files(wanted: dict[str, _Wanted], source: SourceFile, *, force: bool) -> None:
+def _write_files(road_map: str | None, force: bool, source: _PageSource) -> None:
     from carla_recap.editing.clip import clip
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import open_recording
     from carla_recap.show.page import write_report
 
-    files = wanted[source.location]
-    if files.clip is not None:
-        time = files.opening.time or 0.0
+    if source.clip is not None:
+        time = source.opening.time or 0.0
         start = max(time - _AROUND, 0.0)
-        clip(source.location, files.clip, start=start, duration=time + _AROUND - start)
+        clip(source.location, source.clip, start=start, duration=time + _AROUND - start)
     with open_recording(source.location) as recording:
-        options = IncidentOptions(kinds="all", road_map=files.road_map)
-        write_report(recording, files.page, options, opening=files.opening, force=force)
+        options = IncidentOptions(kinds="all", road_map=road_map)
+        write_report(recording, source.page, options, opening=source.opening, force=force)
 
 
 def _names(recordings: Iterable[str]) -> Iterator[str]:
@@ -146,9 +149,6 @@ def _names(recordings: Iterable[str]) -> Iterator[str]:
             name = f"{name}-{used[name.lower()]}"
         used[name.lower()] += 1
         yield name
-
-
-# --- the overview --------------------------------------------------------------------------------------------------------
 
 
 def overview(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
@@ -203,3 +203,35 @@ def _offences(checked: CheckedRecording) -> list[tuple[Verdict, str]]:
         has_met = any(verdict.status == "pass" and verdict.applies for verdict in checked.verdicts)
         return [(broken[0], f"{len(broken)} rules" if has_met else "all rules")]
     return [(verdict, verdict.rule) for verdict in broken]
+
+
+def render(name: str, title: str, origin: str, content: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]]) -> str:
+    """Return the page of a template, and of a style sheet of the same name, if there is one, with what it is made of.
+
+    It loads nothing and runs nothing; what it shows is escaped, and cannot control a terminal.
+    """
+    folder = viewer_folder() / "check"
+    sheets = dict.fromkeys(folder / f"{each}.css" for each in ("check", name))
+    style = "".join(sheet.read_text("utf-8") for sheet in sheets)
+    environment = Environment(
+        loader=FileSystemLoader(folder),
+        autoescape=True,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters |= {"number": number, **filters}
+    return environment.get_template(f"{name}.html").render(
+        content,
+        title=title,
+        origin=origin,
+        date=f"{datetime.now(UTC):%d %B %Y, %H:%M} UTC",
+        version=version("carla-recap"),
+        style=Markup(style),
+        style_hash=Markup(hash_source(style)),
+    )
+
+
+def _shown(value: Any) -> Any:
+    return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.errors import RecapError
-from carla_recap.fleet.check import CheckedRecording
+from carla_recap.fleet.check import CheckedRecording, unread
 from carla_recap.fleet.engine import map_sources
-from carla_recap.queries.score import INFRACTIONS, Route, ScoreOptions, read_routes, route_for
+from carla_recap.queries.score import Route, ScoreOptions, read_routes, route_for
 from carla_recap.queries.score import score as score_of
 from carla_recap.recording import open_recording
 from carla_recap.rules.rule_sets import Verdict
@@ -75,61 +74,28 @@ def _scored(routes: Sequence[Route] | None, route_id: str | None, options: Score
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreLimits:
-    """Limits for the score of a recording.
+    """Limits for the score of a recording."""
 
-    Attributes:
-        score: The least driving score; None for any.
-        completion: The least completion in %.
-        infractions: The most infractions of all kinds.
-        of_kind: The most infractions of a kind, by its name.
-
-    Raises:
-        RecapError: There is no such kind.
-    """
-
-    score: float | None = None
-    completion: float | None = None
-    infractions: int | None = None
-    of_kind: Mapping[str, int] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in self.of_kind:
-            if name not in INFRACTIONS:
-                raise RecapError(f"{name!r} is no kind of infraction; there are {', '.join(INFRACTIONS)}")
+    score: float | None = None  # the least driving score; None for any
+    completion: float | None = None  # the least completion in %
+    infractions: int | None = None  # the most infractions of all kinds
+    of_kind: Mapping[str, int] = field(default_factory=dict)  # the most of a kind, by its name
 
     def __bool__(self) -> bool:
         return self != ScoreLimits()
 
-    def verdicts(self, score: Score) -> list[Verdict]:
-        """Return a verdict on a score for each limit."""
-        found = [
-            _at_least(name, getattr(score, name), least, score)
-            for name, least in (("score", self.score), ("completion", self.completion))
-            if least is not None
-        ]
-        if self.infractions is not None:
-            found.append(_at_most("infractions", self.infractions, score.infractions))
-        found += [
-            _at_most(name, most, [each for each in score.infractions if each.kind == name])
-            for name, most in self.of_kind.items()
-        ]
-        return found
-
-    def unreadable(self, error: str) -> list[Verdict]:
-        """Return the verdicts on a recording that cannot be scored."""
-        names = [name for name in ("score", "completion", "infractions") if getattr(self, name) is not None]
-        return [Verdict(name, "error", error) for name in (*names, *self.of_kind)]
-
-
-def checked(outcome: Outcome[Score], limits: ScoreLimits) -> CheckedRecording:
-    """Return a recording with the verdicts on its score."""
-    location = outcome.source.location
-    if outcome.value is None:
-        error = visible((outcome.error or "it cannot be scored").removeprefix(f"{location}: "))
-        return CheckedRecording(location, tuple(limits.unreadable(error)), warnings=outcome.warnings)
-    return CheckedRecording(
-        location, tuple(limits.verdicts(outcome.value)), visible(outcome.value.town), warnings=outcome.warnings
-    )
+    def check(self, outcome: Outcome[Score]) -> CheckedRecording:
+        """Return a recording with a verdict on its score for each limit."""
+        least = {name: limit for name in ("score", "completion") if (limit := getattr(self, name)) is not None}
+        most = ({} if self.infractions is None else {"infractions": self.infractions}) | {**self.of_kind}
+        score = outcome.value
+        if score is None:
+            return unread(outcome, (*least, *most))
+        verdicts = [_at_least(name, getattr(score, name), limit, score) for name, limit in least.items()]
+        for name, limit in most.items():
+            found = [each for each in score.infractions if name in ("infractions", each.kind)]
+            verdicts.append(_at_most(name, limit, found))
+        return CheckedRecording(outcome.source.location, tuple(verdicts), visible(score.town), warnings=outcome.warnings)
 
 
 def _at_least(name: str, value: float, least: float, score: Score) -> Verdict:

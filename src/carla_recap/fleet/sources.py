@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from functools import lru_cache
 from glob import glob, has_magic
 from pathlib import Path
@@ -18,12 +19,10 @@ from carla_recap.util.files import reason_of
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
 _LONGEST_LINE: Final = 1 << 16  # bytes of a source in a list
-_PIECES: Final = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)  # the parts of a glob: sets of characters, and characters
 _MAGIC: Final = re.compile(r"[*?\[]")
-_GLOB: Final = {"*": "[^/]*", "?": "[^/]"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,24 +204,17 @@ def _remote(source: str) -> Iterator[SourceFile]:
         return
     key = _key(source)
     root = source.removesuffix(key).rstrip("/") + "/"
+    fixed = key.strip("/")
     if _is_glob(source):
         fixed = key[: min(index for index in map(key.find, "*?[") if index >= 0)].rpartition("/")[0]
-        try:
-            pattern = re.compile(_expression(key))
-        except re.error as error:
-            raise RecapError(f"{source}: is no glob: {error}") from None
     elif _has_suffix(split_time(key)[0]):
         yield SourceFile(source, name=split_time(key)[0].rpartition("/")[2])
         return
-    else:
-        fixed = key.strip("/")
-        pattern = re.compile(f"{re.escape(fixed)}/(?P<below>.+)" if fixed else "(?P<below>.+)")
     from carla_recap.formats.remote import list_objects
 
-    count = 0
+    count, parts = 0, [part for part in key.split("/") if part]
     for location, size, modified, etag in list_objects(root + fixed, source):
-        found = pattern.fullmatch(location[len(root) :])
-        if found is not None and (not found["below"] or _is_listed(found["below"])):
+        if _matches(parts, location[len(root) :].split("/")):
             count += 1
             yield SourceFile(location, size, modified, etag, name=location[len(root) + len(fixed) :].lstrip("/"))
     if not count:
@@ -247,24 +239,12 @@ def _is_listed(below: str) -> bool:
     return _has_suffix(below) and not any(part.startswith(".") for part in below.split("/"))
 
 
-def _expression(pattern: str) -> str:
-    """Return a glob as a regular expression for keys of objects, which has a group `below` for what is below a match."""
-    parts = []
-    for part in pattern.split("/"):
-        if part == "**":
-            parts.append(r"(?:[^/.][^/]*/)*")
-            continue
-        translated = "".join(_GLOB.get(piece) or _set(piece) for piece in _PIECES.findall(part))
-        parts.append(("" if part.startswith(".") else r"(?!\.)") + translated + "/")
-    expression = "".join(parts)
-    matched = expression[:-1] if expression.endswith("/") else expression + "[^/.][^/]*"
-    return f"{matched}(?:/(?P<below>.+))?"
-
-
-def _set(piece: str) -> str:
-    """Return a piece of a glob, a character or a set of characters, as a regular expression."""
-    if len(piece) < 3:
-        return re.escape(piece)
-    negated = piece[1] == "!"
-    content = piece[1 + negated : -1].replace("\\", r"\\").replace("[", r"\[").replace("^", r"\^")
-    return f"[{'^/' if negated else ''}{content}]"
+def _matches(parts: Sequence[str], names: Sequence[str]) -> bool:
+    """Return whether the names in a key match the parts of a glob, or begin with a match and are those of a recording."""
+    if not parts:
+        return not names or _is_listed("/".join(names))
+    if parts[0] == "**":
+        return _matches(parts[1:], names) or (bool(names) and names[0][:1] != "." and _matches(parts, names[1:]))
+    if not names or (names[0].startswith(".") and not parts[0].startswith(".")):
+        return False
+    return fnmatchcase(names[0], parts[0]) and _matches(parts[1:], names[1:])

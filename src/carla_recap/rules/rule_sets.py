@@ -159,11 +159,6 @@ def check(recording: Recording, rules: Iterable[Rule], *, road_map: str | None =
     return [_verdict(rule, facts) for rule in rules]
 
 
-def unreadable(rules: Iterable[Rule], error: str) -> list[Verdict]:
-    """Return the verdicts on a recording that cannot be opened."""
-    return [Verdict(rule.name, "error", error) for rule in rules]
-
-
 def _verdict(rule: Rule, facts: Facts) -> Verdict:
     began = perf_counter()
     verdict = _judged(rule, facts)

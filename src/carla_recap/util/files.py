@@ -72,7 +72,7 @@ class AtomicFile:
         self._next_sync = 0.0
         self._partial = _partial_path(self.path)
         self._is_unused = False
-        self._made: list[Path] = []  # the folders that were missing, the innermost first
+        self._made: list[Path] = []  # the folders that were missing
 
     def _begin(self, write_start: Callable[[], None]) -> None:
         """Open the file and write its start; remove it again if that fails."""
@@ -81,7 +81,7 @@ class AtomicFile:
                 raise IsADirectoryError(EISDIR, "is a directory")
             if self.path.exists() and not self.path.is_file():
                 raise FileExistsError(EEXIST, "is not a regular file")
-            self._made = [folder for folder in self.path.parents if not folder.exists()]
+            self._made = missing_folders(self.path.parent)
             self._file = self._open_partial()
             write_start()
             self._is_unused = True
@@ -132,9 +132,7 @@ class AtomicFile:
         self.abandon()
         with suppress(OSError):
             self._partial.unlink()
-        with suppress(OSError):  # of a folder in which something else is
-            for folder in self._made:
-                folder.rmdir()
+        remove_empty(self._made)
 
     def abandon(self) -> Path:
         """Close the file unfinished, and return the partial file, which `recover` takes."""
@@ -262,6 +260,30 @@ def make_folder(folder: Path | str) -> None:
             raise RecapError(f"{folder}: is a file; a folder was expected") from None
 
 
+def missing_folders(folder: Path | str) -> list[Path]:
+    """Return which of a folder and those above it do not exist."""
+    return [each for each in (Path(folder), *Path(folder).parents) if not each.exists()]
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove those of some folders that have nothing in them but each other."""
+    for folder in sorted(folders, key=lambda folder: len(folder.parts), reverse=True):
+        with suppress(OSError):
+            folder.rmdir()
+
+
+@contextmanager
+def made_folder(folder: Path | str) -> Iterator[None]:
+    """Make a folder as `make_folder` does; remove what is empty at the end of a `with` block of what was missing."""
+    with writing(folder):
+        missing = missing_folders(folder)
+    try:
+        make_folder(folder)
+        yield
+    finally:
+        remove_empty(missing)
+
+
 def prepare_file(path: Path | str) -> None:
     """Raise `RecapError` if a file cannot be written."""
     check_path(path)
@@ -292,8 +314,7 @@ def new_folder(folder: Path | str, *, force: bool = True) -> Iterator[Path]:
     folder = Path(folder)
     partial = _partial_path(folder.absolute())
     try:
-        make_folder(folder.parent)
-        with scratch_folder(partial, partials(folder.absolute())):
+        with made_folder(folder.parent), scratch_folder(partial, partials(folder.absolute())):
             yield partial
             if folder.exists():
                 _merge(partial, folder)

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from carla_recap.errors import RecapError
-from carla_recap.fleet.campaign.origin import made_with
 from carla_recap.fleet.campaign.plan import CampaignRun, check_keywords, check_name, planned
-from carla_recap.fleet.campaign.runs import FinishedRun, RunReport, Simulation
+from carla_recap.fleet.campaign.runs import FinishedRun, RunReport, Simulation, made_with
 from carla_recap.fleet.destinations import DestinationFolder
 from carla_recap.fleet.engine import map_sources
 from carla_recap.formats.sources import is_remote
 from carla_recap.sim.settings import seeded_date
-from carla_recap.util.files import make_folder, scratch_folder, writing
+from carla_recap.util.files import made_folder, scratch_folder, writing
 from carla_recap.util.functions import FileFunction, keywords_of
 from carla_recap.util.text import visible
 
@@ -203,8 +202,7 @@ def _staging(location: str) -> Iterator[str | None]:
         yield None
         return
     folder = Path(location, f"{_STAGING}{os.urandom(4).hex()}")
-    make_folder(location)
-    with ExitStack() as stack:
+    with made_folder(location), ExitStack() as stack:
         with writing(location):
             stack.enter_context(scratch_folder(folder, folder.parent.glob(f"{_STAGING}????????")))
         yield str(folder)

@@ -19,7 +19,7 @@ from carla_recap.fleet.campaign.results import (
     SMOOTHNESS,
     severity,
 )
-from carla_recap.fleet.templates import render
+from carla_recap.fleet.pages import render
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:

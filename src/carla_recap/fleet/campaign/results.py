@@ -45,17 +45,11 @@ RESULTS: Final[Mapping[str, Measure]] = {
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The value of a measure in a recording.
-
-    Attributes:
-        value: The value.
-        time: When, in elapsed seconds; None if it has no time.
-        actor: The id of the actor; None if there is none.
-    """
+    """The value of a measure in a recording."""
 
     value: float
-    time: float | None = None
-    actor: int | None = None
+    time: float | None = None  # in elapsed seconds; None if it has no time
+    actor: int | None = None  # the id of the actor; None if there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,25 +101,21 @@ def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, 
 
     With `scoring`, it has a score, too; that it cannot be scored is a warning.
     """
-    rows = recording.collisions()
-    has_hero = bool(recording.heroes)
-    hits = [row for row in rows if not has_hero or row.hero1 or row.hero2]
-    count = float(len({row.contact for row in hits}))
-    found = {COLLISIONS.name: Result(count)}
-    if hits:
-        first = hits[0]
-        found[COLLISIONS.name] = Result(count, first.elapsed, first.id1 if first.hero1 or not has_hero else first.id2)
-    for hit in hits:
-        if not math.isnan(hit.relative_speed):
-            best = found.get(IMPACT_SPEED.name)
-            if best is None or hit.relative_speed > best.value:
-                actor = hit.id1 if hit.hero1 or not has_hero else hit.id2
-                found[IMPACT_SPEED.name] = Result(hit.relative_speed, hit.elapsed, actor)
-    for row in recording.measures():
-        best = found.get(row.measure)
-        key = MEASURES[row.measure].key
-        if row.measure in RESULTS and (best is None or key(row.value) < key(best.value)):
-            found[row.measure] = Result(row.value, row.time, row.actor)
+    rows, has_hero = recording.collisions(), bool(recording.heroes)
+    hits = [
+        (row, row.id1 if row.hero1 or not has_hero else row.id2) for row in rows if not has_hero or row.hero1 or row.hero2
+    ]
+    count = float(len({row.contact for row, _ in hits}))
+    first, actor = hits[0] if hits else (None, None)
+    found = {COLLISIONS.name: Result(count, first.elapsed if first else None, actor)}
+    impacts = [hit for hit in hits if not math.isnan(hit[0].relative_speed)]
+    if impacts:
+        row, actor = max(impacts, key=lambda hit: hit[0].relative_speed)
+        found[IMPACT_SPEED.name] = Result(row.relative_speed, row.elapsed, actor)
+    for each in recording.measures():
+        best, key = found.get(each.measure), MEASURES[each.measure].key
+        if each.measure in RESULTS and (best is None or key(each.value) < key(best.value)):
+            found[each.measure] = Result(each.value, each.time, each.actor)
     if scoring is not None:
         try:
             found.update(scoring.results(recording))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import random
 import signal
 import sys
 import traceback
+import warnings
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -17,16 +20,18 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.errors import RecapError
-from carla_recap.fleet.campaign.origin import difference
-from carla_recap.fleet.campaign.plan import CampaignRun
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.fleet.campaign.plan import CampaignRun, text_of
 from carla_recap.fleet.campaign.results import measured
 from carla_recap.formats.sources import is_remote
 from carla_recap.recording import open_recording
-from carla_recap.util.text import single_line
+from carla_recap.roads.files import read_text
+from carla_recap.sim.town.loading import find_town
+from carla_recap.util.functions import FileFunction
+from carla_recap.util.text import single_line, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from carla_recap.fleet.campaign import Campaign
     from carla_recap.fleet.campaign.results import Result
@@ -39,6 +44,17 @@ _ROUNDING: Final = 1e-6  # of a tick
 _LONGEST: Final = 4000  # characters of what a run printed, and of its traceback, that are kept
 _SEEDS: Final = 1 << 32  # of numpy's global generator
 _TERMINATED: Final = 128 + signal.SIGTERM
+_PREFIX: Final = "campaign."  # of names of what a recording was made with, which no parameter has
+_DIGITS: Final = 16  # of hashes
+_LABELS: Final = {
+    "function": "function",
+    "code": "code",
+    "town": "town",
+    "map": "map file",
+    "duration": "duration",
+    "additional_data": "additional data",
+}
+_LONGEST_VALUE: Final = 60  # characters of a value in an error
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,13 +182,14 @@ class Simulation:
             line, details = _line(error, run), _details(error, output)
             if not callable(self.campaign.function) and isinstance(error, RecapError) and details:
                 line = f"{line}: {single_line(details.splitlines()[-1])}"
-            return RunReport(line, details)
+            return RunReport(line.replace(str(path), run.location), details)
         return RunReport(preparing=preparing)
 
     def _record(self, run: CampaignRun, path: Path, began: float) -> float:
         """Record a run; return how many seconds it took to begin."""
         from carla_recap.sim import World
 
+        warnings.filterwarnings("ignore", "the recording has ended", RecapWarning)  # which is the error of the run
         random.seed(run.seed)
         np.random.seed(run.seed % _SEEDS)
         campaign, process = self.campaign, os.getpid()
@@ -194,7 +211,7 @@ class Simulation:
                 world.tick()
             world.stop_recorder()
             if world.recorder.error is not None:
-                raise world.recorder.error
+                raise RecapError(str(world.recorder.error).partition("; ")[0])  # what is left of it is removed
         with open_recording(path) as recording:
             if not recording.reader.extent().frames:
                 raise RecapError("no tick was recorded; a function that ticks its world was expected, or a duration")
@@ -258,3 +275,59 @@ def _details(error: BaseException, output: Path) -> str:
     except OSError:
         printed = ""
     return "\n".join(filter(None, (trace.rstrip(), printed.rstrip())))
+
+
+# --- what recordings were made with --------------------------------------------------------------------------------------
+
+
+def made_with(campaign: Campaign) -> dict[str, str]:
+    """Return what a campaign makes its recordings with, besides seeds and parameters: no paths, so that machines agree."""
+    name, path = _source(campaign.function)
+    town, map_file = find_town(campaign.town or "", None if campaign.maps is None else Path(campaign.maps))
+    try:
+        code = "" if path is None else _hash(path.read_bytes())
+    except OSError as error:
+        raise RecapError(f"{path}: {error.strerror}; a Python file was expected") from None
+    found = {
+        "function": name,
+        "code": code,
+        "town": town,
+        "map": _hash(read_text(map_file).encode("utf-8", "surrogateescape")),
+        "duration": text_of(float(campaign.duration)),
+        "additional_data": text_of(campaign.additional_data),
+    }
+    return {_PREFIX + key: value for key, value in found.items()}
+
+
+def difference(parameters: Mapping[str, str], expected: Mapping[str, str]) -> str | None:
+    """Return how the origin of a recording differs from the expected one, as the line of an error; None if it does not."""
+    changed = [name for name, value in expected.items() if parameters.get(name) != value]
+    if not changed:
+        return None
+    advice = "--again (in Python, again=True) makes such recordings anew, or another folder was expected"
+    if not any(name.startswith(_PREFIX) for name in parameters):
+        return f"is there already, and does not say which function and code made it; {advice}"
+    said = []
+    for name in changed:
+        key = name.removeprefix(_PREFIX)
+        before, now = (visible(each.get(name, ""))[:_LONGEST_VALUE] or "none" for each in (parameters, expected))
+        said.append(f"other {_LABELS[key]}" if key in ("code", "map") else f"{_LABELS[key]} {before} instead of {now}")
+    return f"is there already, and was made with {', '.join(said)}; {advice}"
+
+
+def _source(function: Callable[..., object] | str | Path) -> tuple[str, Path | None]:
+    """Return the name of a function or script, and its file; None if there is none, as of a function typed in."""
+    if isinstance(function, (str, os.PathLike)):
+        return Path(function).name, Path(function)
+    if isinstance(function, FileFunction):
+        return function.name, Path(function.path)
+    try:
+        file = inspect.getsourcefile(inspect.unwrap(function))
+    except TypeError:
+        file = None
+    name = getattr(function, "__qualname__", type(function).__name__)
+    return name, Path(file) if file is not None and Path(file).is_file() else None
+
+
+def _hash(content: bytes) -> str:
+    return sha256(content).hexdigest()[:_DIGITS]

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from json import loads
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Event, Thread
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Final
 
@@ -45,21 +44,12 @@ _NO_DATABASE: Final = "not a valid DuckDB database file"  # in an error of DuckD
 _BUSY: Final = re.compile("Could not set lock|file handle conflict|being used by another process")
 _PATIENCE: Final = 60.0  # s for which others may have the file open
 _PAUSE: Final = 0.02  # s between attempts to open it
-_INTERVAL: Final = 0.1  # s between looks at signals
-_GRACE: Final = 1.0  # s for a query to end after a signal
+_INTERRUPTED: Final = "Query interrupted"  # DuckDB's error in place of what the handler of a signal raises
 _OLD_MARKER: Final = "index.json"  # in the folders that indexes were before 0.3
 
 
 class RecordingIndex:
-    """An index of recordings. Each query answers from what it has then.
-
-    Args:
-        path: The file.
-
-    Raises:
-        MissingExtra: DuckDB or pyarrow is not installed.
-        RecapError: The file is no index, or one of another version, or damaged.
-    """
+    """An index of recordings, which `open_index` opens. Each query answers from what it has then."""
 
     def __init__(self, path: Path | str) -> None:
         _require()
@@ -118,7 +108,12 @@ class RecordingIndex:
             kinds = [statement.type for statement in database.extract_statements(query)]
             if kinds not in ([duckdb.StatementType.SELECT], [duckdb.StatementType.MULTI]):  # the latter is a pivot
                 raise RecapError(f"{_shown(query)}: one query was expected, which begins with {_QUERIES}")
-            return _answer(database, query)
+            try:
+                relation = database.sql(query)
+            except duckdb.Error:
+                database.execute(query)  # which raises the error with its position
+                raise
+            return relation.to_arrow_table()
 
     def replace(self, tables: Mapping[str, pa.Table]) -> None:
         """Replace all rows of the recordings that a table of recordings has by new ones, in one transaction."""
@@ -165,12 +160,14 @@ class RecordingIndex:
                     raise RecapError(f"{self.path}: another process has been using this index for {_PATIENCE:g} s")
                 sleep(_PAUSE)
             yield database
-            database.close()
-        except Exception as error:  # after a signal, the query may still use the database
-            database.close()
-            if isinstance(error, duckdb.Error):
-                raise self._failure(error, query) from None
+        except duckdb.Error as error:
+            raise self._failure(error, query) from None
+        except RuntimeError as error:
+            if str(error) == _INTERRUPTED:
+                raise KeyboardInterrupt from None
             raise
+        finally:
+            database.close()
 
     def _failure(self, error: duckdb.Error, query: str) -> RecapError:
         """Return DuckDB's error in one line; of a damaged file, DuckDB's class does not always say so."""
@@ -197,12 +194,7 @@ def open_index(path: Path | str) -> RecordingIndex:
 
 
 def create_index(path: Path | str) -> RecordingIndex:
-    """Open an index of recordings; without a file, make an empty one.
-
-    Raises:
-        MissingExtra: DuckDB or pyarrow is not installed.
-        RecapError: The file is no index, or one of another version, or damaged; or it cannot be written.
-    """
+    """Open an index of recordings as `open_index` does; without a file, make an empty one."""
     _require()
     path = Path(path)
     if not _is_file(path):
@@ -247,40 +239,6 @@ def _attach(database: duckdb.DuckDBPyConnection, path: Path, mode: str) -> bool:
         raise
     database.execute("use stored")
     return True
-
-
-def _answer(database: duckdb.DuckDBPyConnection, query: str) -> pa.Table:
-    """Return the answer to a query, which a signal ends: DuckDB itself heeds none."""
-    import duckdb
-
-    found: list[pa.Table] = []
-    failed: list[BaseException] = []
-    done = Event()
-
-    def work() -> None:
-        try:
-            try:
-                relation = database.sql(query)
-            except duckdb.Error:
-                database.execute(query)  # which raises the error with its position
-                raise
-            found.append(relation.to_arrow_table())
-        except BaseException as error:
-            failed.append(error)
-        done.set()
-
-    Thread(target=work, name="carla-recap-sql", daemon=True).start()
-    try:
-        while not done.wait(_INTERVAL):
-            pass
-    except BaseException:
-        end = monotonic() + _GRACE
-        while not done.wait(_PAUSE) and monotonic() < end:
-            database.interrupt()
-        raise
-    if failed:
-        raise failed[0]
-    return found[0]
 
 
 def _require() -> None:
