@@ -11,9 +11,7 @@ import carla
 
 from carla_recap import ActorKind, RecapError, Spawn, attributes, create_recording, open_recording
 from carla_recap.metrics import MetricsLog
-from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.records import UE4
-from tests.samples import CRASH, write
+from tests.samples import CRASH
 
 
 def xyz(vector):
@@ -59,18 +57,14 @@ def log(tmp_path, request):
         yield found
 
 
-def test_times_are_counted_from_0(log):
+def test_times_and_collisions_are_counted_from_0(log):
     assert log.get_total_frame_count() == 4
     assert [log.get_elapsed_time(frame) for frame in range(5)] == [0, 0.1, 0.2, 0.3, 0.3]
     assert [log.get_delta_time(frame) for frame in range(4)] == [0, 0.1, 0.1, 0.1]
     assert [log.get_platform_time(frame) for frame in range(2)] == [123.5, None]
     with pytest.raises(RecapError, match="no frame -1"):
         log.get_elapsed_time(-1)
-
-
-def test_collisions_are_listed_by_frame_from_0(log):
-    assert log.get_actor_collisions(7) == {2: [9, 4294967295]}
-    assert log.get_actor_collisions(9) == {}
+    assert (log.get_actor_collisions(7), log.get_actor_collisions(9)) == ({2: [9, 4294967295]}, {})
 
 
 def test_actors_are_found_by_role_and_by_blueprint(log):
@@ -88,19 +82,15 @@ def test_attributes_are_texts_with_the_frames_of_the_life(log):
     assert found == {"type_id": "vehicle.a.b", "role_name": "hero", "color": "1,2,3", "created": 1}
     assert log.get_actor_attributes(8)["destroyed"] == 4
     assert log.get_actor_attributes(99) is None
+    assert xyz(log.get_actor_bounding_box(7).extent) == xyz(box.extent)
+    assert xyz(log.get_traffic_light_trigger_volume(9).extent) == pytest.approx((1, 2, 3))
+    assert log.get_actor_bounding_box(8) is log.get_traffic_light_trigger_volume(7) is None
 
 
 def test_frames_of_a_life_are_counted_from_1(log):
     assert log.get_actor_alive_frames(7) == (1, 4)
     assert log.get_actor_alive_frames(8) == (2, 3)
     assert log.get_actor_alive_frames(99) == (None, None)
-
-
-def test_boxes_and_volumes(log):
-    assert xyz(log.get_actor_bounding_box(7).extent) == pytest.approx((2, 1, 0.75))
-    assert xyz(log.get_traffic_light_trigger_volume(9).extent) == pytest.approx((1, 2, 3))
-    assert log.get_actor_bounding_box(8) is None
-    assert log.get_traffic_light_trigger_volume(7) is None
 
 
 def test_transforms_are_carlas(log):
@@ -129,6 +119,17 @@ def test_angular_velocities_are_recorded_or_derived_across_half_a_turn(log):
     assert log.get_actor_angular_velocities_at_frame(3, [7])[7].z == pytest.approx(100)
 
 
+def moved(path, poses, times=(0.0, 0.1, 0.2, 0.3), spawns=(0,)):
+    """Return the log of an actor with poses (x, y, z, roll, pitch, yaw), which is spawned anew in some frames."""
+    with create_recording(path, map_name="Town01") as recorder:
+        for number, pose in enumerate(poses):
+            spawned = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")] if number in spawns else []
+            recorder.add_frame(
+                times[number], spawned=spawned, destroyed=[7] if spawned and number else [], transforms=[(7, *pose)]
+            )
+    return MetricsLog(path)
+
+
 @pytest.mark.parametrize(
     ("roll", "pitch", "yaw", "expected"),
     [
@@ -139,43 +140,23 @@ def test_angular_velocities_are_recorded_or_derived_across_half_a_turn(log):
     ],
 )
 def test_angular_velocities_are_along_the_axes_of_the_world(tmp_path, roll, pitch, yaw, expected):
-    path = tmp_path / "turning.log"
-    with create_recording(path, map_name="Town01") as recorder:
-        for frame, angles in enumerate(zip(roll, pitch, yaw, strict=True)):
-            spawned = [] if frame else [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")]
-            recorder.add_frame(frame * 0.1, spawned=spawned, transforms=[(7, 0, 0, 0, *angles)])
-    with MetricsLog(path) as log:
+    with moved(tmp_path / "own.log", [(0, 0, 0, *angles) for angles in zip(roll, pitch, yaw, strict=True)]) as log:
         assert xyz(log.get_actor_angular_velocity(7, 2)) == pytest.approx(expected, abs=1e-4)
 
 
-def test_without_time_between_frames_there_is_no_angular_velocity(tmp_path):
-    transforms = UE4.named("transforms")
-    turning = [
-        Frame(n, n + 1, 0.5, 0.0, [Packet(6, transforms, records=transforms.records([(7, 0, 0, 0, 0, 0, 10 * n)]))])
-        for n in range(3)
-    ]
-    with MetricsLog(write(tmp_path / "own.log", Header("Town01", 0), turning)) as log:
-        assert xyz(log.get_actor_angular_velocity(7, 2)) == (0, 0, 0)
-
-
 @pytest.mark.parametrize(
-    ("times", "x", "again", "expected"),
+    ("times", "x", "spawns", "expected"),
     [
-        ([0.0, 0.1, 0.2], [0, 0, 0], False, [100, 100, 100]),
-        ([0.0, 0.1, 1.2], [0, 0, 0], False, [100, 100, 0]),
-        ([0.0, 0.1, 0.2], [0, 0, 5000], False, [100, 100, 0]),
-        ([0.0, 0.1, 0.2], [0, 0, 0], True, [100, 100, 0]),
+        ([0.0, 0.1, 0.2], [0, 0, 0], [0], [100, 100, 100]),
+        ([0.0, 0.1, 1.2], [0, 0, 0], [0], [100, 100, 0]),
+        ([0.0, 0.1, 0.2], [0, 0, 5000], [0], [100, 100, 0]),
+        ([0.0, 0.1, 0.2], [0, 0, 0], [0, 2], [100, 100, 0]),
     ],
     ids=["turns", "after a second", "jumps", "another life"],
 )
-def test_angular_velocities_are_derived_by_the_rule_of_velocities(tmp_path, times, x, again, expected):
-    with create_recording(tmp_path / "own.log", map_name="Town01") as recorder:
-        for number, (time, place) in enumerate(zip(times, x, strict=True)):
-            spawned = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")] if not number or (again and number == 2) else []
-            destroyed = [7] if spawned and number else []
-            turned = [(7, 100 * place, 0, 0, 0, 0, 10 * number)]
-            recorder.add_frame(time, spawned=spawned, destroyed=destroyed, transforms=turned)
-    with MetricsLog(tmp_path / "own.log") as log:
+def test_angular_velocities_are_derived_by_the_rule_of_velocities(tmp_path, times, x, spawns, expected):
+    poses = [(100 * place, 0, 0, 0, 0, 10 * number) for number, place in enumerate(x)]
+    with moved(tmp_path / "own.log", poses, times, spawns) as log:
         assert [log.get_actor_angular_velocity(7, frame).z for frame in (1, 2, 3)] == pytest.approx(expected)
 
 
@@ -186,11 +167,7 @@ def test_accelerations_are_changes_of_velocities(log):
 
 
 def test_the_first_frame_of_an_actor_with_the_id_of_another_has_no_acceleration(tmp_path):
-    with create_recording(tmp_path / "again.log", map_name="Town01") as recorder:
-        for number, x in enumerate((0, 100, 2000, 2200)):
-            spawned = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")] if number % 2 == 0 else []
-            recorder.add_frame(number / 10, spawned=spawned, transforms=[(7, x, 0, 0, 0, 0, 0)])
-    with MetricsLog(tmp_path / "again.log") as log:
+    with moved(tmp_path / "own.log", [(x, 0, 0, 0, 0, 0) for x in (0, 100, 2000, 2200)], spawns=(0, 2)) as log:
         assert [xyz(each) for each in log.get_all_actor_accelerations(7)] == [(0, 0, 0)] * 4
 
 

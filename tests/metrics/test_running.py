@@ -14,7 +14,7 @@ pytest.importorskip("carla", reason="the extra `carla` is not installed")
 from carla_recap import RecapError
 from carla_recap.metrics import MetricsLog, run_metric
 from carla_recap.server import running
-from tests.cli.command import CROSSING, ENVIRONMENT, error, run
+from tests.cli.command import CROSSING, ENVIRONMENT, run
 from tests.waiting import PATIENCE
 
 SAMPLES = CROSSING.parent
@@ -46,8 +46,11 @@ def metric(tmp_path):
 
 
 def test_a_metric_gets_the_map_the_log_and_the_criteria(tmp_path, metric):
-    (tmp_path / "c.json").write_text('{"Collision": {"test_status": "SUCCESS"}}')
-    done = run("metrics", "--metric", metric(METRIC), "--log", SAMPLES / "crash.mcap", "--criteria", tmp_path / "c.json")
+    """A folder for results of ScenarioRunner is not taken for it."""
+    (tmp_path / "srunner" / "metrics" / "data").mkdir(parents=True)
+    (criteria := tmp_path / "c.json").write_text('{"Collision": {"test_status": "SUCCESS"}}')
+    crash = SAMPLES / "crash.mcap"
+    done = run("metrics", "--metric", metric(METRIC), "--log", crash, "--criteria", criteria, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, b"")
     found = json.loads(done.stdout)
     assert found["town"] == "Brickfield"
@@ -69,26 +72,17 @@ def test_an_error_of_the_metric_is_shown_with_its_own_lines(metric):
     assert not any("carla_recap" in line for line in lines)
 
 
-def test_a_folder_for_results_is_no_scenario_runner(tmp_path, metric):
-    (tmp_path / "srunner" / "metrics" / "data").mkdir(parents=True)
-    assert run("metrics", "--metric", metric(METRIC), "--log", SAMPLES / "crash.mcap", cwd=tmp_path).returncode == 0
-
-
-def test_a_file_without_a_metric_is_an_error_of_one_line(metric):
-    found = error("metrics", "--metric", metric("class Other: pass"), "--log", SAMPLES / "crash.mcap")
-    assert "no class in it extends BasicMetric" in found
-
-
 @pytest.mark.parametrize(
-    ("name", "criteria", "message"),
+    ("text", "name", "criteria", "message"),
     [
-        ("my_metric.py", "{", "is no JSON file"),
-        ("my_metric.py", "[]", "an object with a member for each criterion"),
-        ("gone.py", "{}", "no such file"),
+        (METRIC, "my_metric.py", "{", "is no JSON file"),
+        (METRIC, "my_metric.py", "[]", "an object with a member for each criterion"),
+        (METRIC, "gone.py", "{}", "no such file"),
+        ("class Other: pass", "my_metric.py", "{}", "no class in it extends BasicMetric"),
     ],
 )
-def test_wrong_files_are_errors(tmp_path, metric, name, criteria, message):
-    metric(METRIC)
+def test_wrong_files_are_errors(tmp_path, metric, text, name, criteria, message):
+    metric(text)
     (tmp_path / "c.json").write_text(criteria)
     with MetricsLog(SAMPLES / "crash.mcap") as log, pytest.raises(RecapError, match=message):
         run_metric(tmp_path / name, log, criteria=tmp_path / "c.json")
@@ -114,14 +108,9 @@ def test_a_metric_gives_the_same_figures_as_with_scenario_runners_manager(tmp_pa
     assert ours["distance"] == pytest.approx(theirs["distance"], abs=1e-3)
 
 
-HELPED = """
-from srunner.metrics.examples.basic_metric import BasicMetric
-import helper, aids.more, random
-
-class Helped(BasicMetric):
-    def _create_metric(self, town_map, log, criteria):
-        self.found = helper.NAME, aids.more.NAME, random.__name__
-"""
+HELPED = METRIC.replace("import json", "import json, helper, aids.more, random").replace(
+    "        hero =", "        self.found = helper.NAME, aids.more.NAME, random.__name__\n        hero ="
+)
 
 
 def test_metrics_have_the_helpers_of_their_own_folders(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import io
 import json as stdlib
 import re
 from dataclasses import asdict
-from itertools import islice
 from typing import Any, NoReturn
 
 import pytest
@@ -67,11 +66,6 @@ def test_json(make: Make) -> None:
     assert len(answer) == 1
 
 
-def test_json_of_nothing(make: Make) -> None:
-    for answer in (info(make()), collisions(make()), blocked(make())):
-        assert parsed(answer)["rows"] == []
-
-
 def test_what_is_not_finite_is_null(make: Make) -> None:
     reader = make({"spawned": [spawn(1, "a")], "transforms": [(1, 1, 1, 1, float("inf"), NAN, 1)]}, durations=[NAN])
     frame, born, pose = (row["record"] for row in parsed(info(reader, all=True))["rows"])
@@ -122,14 +116,6 @@ def test_table_of_a_contact_that_is_interrupted(make: Make) -> None:
     hit = {"collisions": [(0, 1, 2, 0, 0)]}
     lines = printed(collisions(make(hit, {}, hit, durations=[0.25] * 3))).splitlines()
     assert lines[-1] == "2 rows of 1 contact; 3 frames, 0.5 seconds"
-
-
-def test_table_of_blocked(make: Make) -> None:
-    standing = {"transforms": [(3, 5, 0, 0, 0, 0, 0)]}
-    reader = make(standing, standing, {})
-    lines = [" ".join(line.split()) for line in printed(blocked(reader, 0.1)).splitlines()]
-    assert "0.50 0.50 3 unknown 5, 0, 0" in lines
-    assert lines[-1] == "1 row; 3 frames, 1 seconds"
 
 
 def test_blocked_vehicles_come_before_walkers_and_others(make: Make) -> None:
@@ -193,13 +179,3 @@ def test_a_table_controls_no_terminal(make: Make) -> None:
         shown = printed(answer)
         assert shown.replace("\n", "").isprintable()
         assert "[red]\\x1b[31m\\x07\\x9b5A\\u202egnp.exe\\r\\n\\u2028[/nothing]" in shown.replace("\n", "")
-
-
-def test_a_table_of_wild_numbers(make: Make) -> None:
-    reader = make({"collisions": [(0, 1, 1, 0, 0)]}, {"collisions": [(0, 2, 2, 0, 0)]}, durations=[1e300, float("inf")])
-    assert "1e+300" in printed(collisions(reader))
-
-
-def test_pieces_come_one_by_one(make: Make) -> None:
-    pieces = json_text(info(make({"destroyed": [(id,) for id in range(10)]})))
-    assert len(list(islice(pieces, 3))) == 3

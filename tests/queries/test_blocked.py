@@ -103,18 +103,6 @@ def test_as_the_twin_has_it(
     assert repr([(row.start, row.duration, row.id, row.type_id, (row.x, row.y, row.z)) for row in rows]) == repr(wanted)
 
 
-def test_a_walker_that_lies_on_the_ground_is_not_blocked(make: Make) -> None:
-    def lying(*turned: int) -> dict[str, Any]:
-        return {"transforms": [(id, 5, 0, 0, *((450, 0, 0) if id in turned else (0, 359.9, 0))) for id in (1, 2, 3)]}
-
-    spawned = {"spawned": [spawn(1, "walker.pedestrian.0001"), spawn(2), spawn(3, "walker.pedestrian.0002")], **lying()}
-    frames = [spawned, *[lying()] * 2, *[lying(1, 2)] * 3]
-    durations = [1.0] * len(frames)
-    rows = [(row.id, row.start, row.duration) for row in blocked(make(*frames, durations=durations), 2)]
-    assert rows == [(2, 1.0, 5.0), (3, 1.0, 5.0), (1, 1.0, 2.0)]
-    assert [row.duration for row in blocked(make(*frames, durations=durations), 2, compat=True)] == [6.0] * 3
-
-
 @pytest.mark.parametrize("limit", [-1.0, math.nan])
 def test_limits_below_0_are_for_carlas_answer_alone(make: Make, limit: float) -> None:
     reader = make({"transforms": [(1, 0, 0, 0, 0, 0, 0)]}, {})
@@ -125,13 +113,6 @@ def test_limits_below_0_are_for_carlas_answer_alone(make: Make, limit: float) ->
     with pytest.raises(RecapError, match="min_time: expected 0 s or more, found"):
         IncidentOptions(min_time=limit)
     blocked(reader, limit, compat=True)
-
-
-def test_the_digest_has_stops_of_actors_whose_blueprints_are_long(make: Make) -> None:
-    names = {id: chr(97 + id % 26) * 0xFFFF for id in range(1, 151)}
-    frames = [{"spawned": [spawn(id, name)], "transforms": {"id": [id]}} for id, name in names.items()]
-    reader = make(*frames, *[{"transforms": {"id": [*names]}}] * 3)
-    assert {row.id: row.type_id for row in blocked(reader, 1.0)} == names
 
 
 @pytest.mark.parametrize("with_digest", [True, False])

@@ -7,7 +7,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.output.text import text
-from carla_recap.queries.collisions import CollisionRow, collisions
+from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests.queries.conftest import Make
 
@@ -25,13 +25,6 @@ CAST = [
     spawn(6, 200, "what.ever"),
     spawn(7, 0, "static.prop"),
 ]
-
-
-def test_rows(make: Make) -> None:
-    answer = collisions(make({"spawned": CAST}, {"collisions": [(9, 1, 2, 1, 0)]}))
-    assert answer == [CollisionRow(0.5, 2, "v", 1, "vehicle.hero", True, "w", 2, "walker.a", False, 1)]
-    assert answer.extent.frames == 2
-    assert answer.header.map_name == "Town01"
 
 
 def test_rows_are_a_data_frame(make: Make) -> None:
@@ -134,14 +127,6 @@ def test_unknown_filter(make: Make, sides: tuple[str, str]) -> None:
     with pytest.raises(RecapError, match="no type of a collision's actor"):
         collisions(reader, *sides)
     assert collisions(reader, *sides, compat=True) == []
-
-
-def test_a_destroyed_actor_is_forgotten(make: Make) -> None:
-    reader = make({"spawned": CAST}, {"destroyed": [(1,)]}, {"collisions": [(0, 1, 7, 0, 0)]})
-    (row,) = collisions(reader)
-    assert (row.letter1, row.type_id1, row.type_id2) == ("o", "", "static.prop")
-    (row,) = collisions(reader, compat=True)  # forgets the one that was spawned last instead
-    assert (row.letter1, row.type_id1, row.type_id2) == ("v", "vehicle.hero", "")
 
 
 def test_an_id_that_comes_again(make: Make) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -22,84 +23,66 @@ from carla_recap.queries import contacts as contacts_module
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests import strategies
-from tests.queries.conftest import Make, write
+from tests.queries.conftest import Make
+from tests.queries.measures.traffic import traffic
 from tests.samples import CARLA_LOGS, RANDOM_LOGS, reading, warnings_ignored
 from tests.samples import write as write_frames
 
 CAST = [Spawn(1, 1, type_id="vehicle.a"), Spawn(2, 2, type_id="walker.b"), Spawn(3, 3, type_id="traffic.traffic_light")]
-HIT = {"collisions": [(0, 1, 2, 0, 0)]}
 
 
-def poses(*places: tuple[int, float, float, float]) -> list[tuple[float, ...]]:
-    return [(id, x, y, z, 0.0, 0.0, 0.0) for id, x, y, z in places]
+def poses(*places: tuple[int, float, float, float]) -> dict[str, Any]:
+    """Transforms; positions are in cm."""
+    return {"transforms": [(id, x, y, z, 0.0, 0.0, 0.0) for id, x, y, z in places]}
 
 
-def moving(*speeds: tuple[int, float, float, float]) -> list[tuple[float, ...]]:
-    return poses(*speeds)
-
-
-def speeds(reader: Reader) -> list[tuple[float, float]]:
-    return [(row.impact_speed, row.relative_speed) for row in collisions(reader)]
+def moving(*speeds: tuple[int, float, float, float]) -> dict[str, Any]:
+    return {"velocities": poses(*speeds)["transforms"]}
 
 
 # --- definitions ---------------------------------------------------------------------------------------------------------
 
-
-def test_speeds_are_those_recorded_in_the_frame_before(make: Make) -> None:
-    before = {"spawned": CAST, "velocities": moving((1, 3, 4, 12), (2, 3, -4, 12))}
-    reader = make({"velocities": moving((1, 9, 9, 9))}, before, HIT | {"velocities": moving((1, 0, 0, 0), (2, 0, 0, 0))})
-    assert speeds(reader) == [(13.0, 8.0)]
-
-
-def test_speeds_that_are_not_recorded_are_those_of_positions_before(make: Make) -> None:
-    """A frame takes 0.5 s; positions are in cm."""
-    frames = ({"transforms": poses((1, 100 * n, 0, 0), (2, 0, 200 * n, 0))} for n in range(2))
-    reader = make(*frames, HIT | {"transforms": poses((1, 5000, 0, 0), (2, 0, 5000, 0))})
-    assert speeds(reader) == [(2.0, pytest.approx(math.hypot(2.0, 4.0)))]
-
-
-@pytest.mark.parametrize("id2", [NO_ACTOR, 0, 3])
-def test_what_never_moves_stands_still(make: Make, id2: int) -> None:
-    reader = make({"spawned": CAST, "velocities": moving((1, 0, 5, 0))}, {"collisions": [(0, 1, id2, 0, 0)]})
-    assert speeds(reader) == [(5.0, 5.0)]
-
-
-def test_of_what_stands_still_the_speed_is_0(make: Make) -> None:
-    reader = make({"spawned": CAST, "velocities": moving((1, 0, 5, 0))}, {"collisions": [(0, 3, 1, 0, 0)]})
-    assert speeds(reader) == [(0.0, 5.0)]
+ONE = {"spawned": CAST} | moving((1, 0, 5, 0))
+AT = poses((1, 0, 0, 0))
 
 
 @pytest.mark.parametrize(
-    "before",
+    ("before", "pair", "impact", "relative"),
     [
-        [],
-        [{}],
-        [{"transforms": poses((1, 0, 0, 0), (2, 0, 0, 0))}],
-        [{"transforms": poses((1, 0, 0, 0))}, {}],
-        [{}, {"transforms": poses((1, 0, 0, 0))}],
-        [{"transforms": poses((1, 0, 0, 0))}, {"transforms": poses((1, 5001, 0, 0))}],
-        [{"transforms": poses((1, 0, 0, 0))}, {"transforms": poses((1, math.nan, 0, 0))}],
-        [{"velocities": moving((1, math.nan, 0, 0))}],
-        [{"velocities": moving((1, 1, 0, 0))}, {}],
+        ([moving((1, 9, 9, 9)), {"spawned": CAST} | moving((1, 3, 4, 12), (2, 3, -4, 12))], (1, 2), 13, 8),
+        # Positions say it that are 0.5 s apart.
+        ([poses((1, 100 * n, 0, 0), (2, 0, 200 * n, 0)) for n in range(2)], (1, 2), 2, math.hypot(2, 4)),
+        *[([ONE], (1, other), 5, 5) for other in (NO_ACTOR, 0, 3)],  # what never moves stands still
+        ([ONE], (3, 1), 0, 5),
+        ([moving((1, 0, 0, 2))], (1, 2), 2, math.nan),
+        *[
+            (before, (1, 2), math.nan, math.nan)
+            for before in (
+                [],
+                [{}],
+                [poses((1, 0, 0, 0), (2, 0, 0, 0))],
+                [AT, {}],
+                [{}, AT],
+                [AT, poses((1, 5001, 0, 0))],
+                [AT, poses((1, math.nan, 0, 0))],
+                [moving((1, math.nan, 0, 0))],
+                [moving((1, 1, 0, 0)), {}],
+            )
+        ],
     ],
 )
-def test_unknown_speeds(make: Make, before: list[dict[str, Any]]) -> None:
-    ((impact, relative),) = speeds(make(*before, HIT | {"velocities": moving((1, 1, 0, 0), (2, 1, 0, 0))}))
-    assert math.isnan(impact)
-    assert math.isnan(relative)
+def test_speeds_are_those_of_the_frame_before(
+    make: Make, before: list[dict[str, Any]], pair: tuple[int, int], impact: float, relative: float
+) -> None:
+    hit = {"collisions": [(0, *pair, 0, 0)]} | moving((1, 1, 0, 0), (2, 1, 0, 0)) | poses((1, 5000, 0, 0), (2, 0, 5000, 0))
+    (row,) = collisions(make(*before, hit))
+    assert (row.impact_speed, row.relative_speed) == pytest.approx((impact, relative), nan_ok=True)
 
 
-def test_positions_far_apart_in_time_give_no_speed(tmp_path: Path, suffix: str) -> None:
-    frames = [{"transforms": poses((1, n, 0, 0), (2, n, 0, 0))} for n in range(2)]
-    path = write(tmp_path / f"slow{suffix}", [*frames, HIT], durations=[1.5, 0.1, 0.1])
-    with reading(path) as reader:
-        assert all(map(math.isnan, speeds(reader)[0]))
-
-
-def test_speeds_of_one_side_are_enough_for_the_impact(make: Make) -> None:
-    ((impact, relative),) = speeds(make({"velocities": moving((1, 0, 0, 2))}, HIT))
-    assert impact == 2.0
-    assert math.isnan(relative)
+def test_positions_far_apart_in_time_give_no_speed(make: Make) -> None:
+    frames = [poses((1, n, 0, 0), (2, n, 0, 0)) for n in range(2)]
+    (row,) = collisions(make(*frames, {"collisions": [(0, 1, 2, 0, 0)]}, durations=[1.5, 0.1, 0.1]))
+    assert math.isnan(row.impact_speed)
 
 
 # --- the same answers with the digest and without ------------------------------------------------------------------------
@@ -135,59 +118,28 @@ def assert_equal_answers(*paths: Path) -> list[str]:
         with reading(path) as reader:
             found.append(list(answers(reader)))
         if path.suffix == ".mcap":
-            without = WithoutDigest(path)
-            found.append(list(answers(without)))
-            without.close()
+            with closing(WithoutDigest(path)) as without:
+                found.append(list(answers(without)))
     assert all(each == found[0] for each in found)
     return found[0]
 
 
-def crowd(seed: int) -> tuple[Header, list[Frame]]:
-    """A crowd of few actors that come and go, jump, brake, and touch each other, in frames of various lengths."""
+def crowd(folder: Path, seed: int) -> tuple[Header, list[Frame]]:
+    """Return random traffic whose actors touch each other again and again."""
     random = np.random.default_rng(seed)
-    header = Header("Town01", 1_600_000_000)
-    ids, present = np.arange(1, 6), np.ones(5, np.bool_)
-    place, speed, elapsed = random.uniform(-500, 500, (5, 3)), random.uniform(0, 20, 5), 0.0
-    tick = random.choice([0.05, 0.1, 0.6, 2.0])
-    measured = random.random() < 0.5
-    spawned = {int(id): Spawn(int(id), int(random.choice([0, 1, 1, 2])), type_id=f"kind.{id}") for id in ids}
-    frames = []
-    for number in range(int(random.integers(2, 120))):
-        records: dict[str, Any] = {}
-        if number == 0:
-            late = random.random() < 0.3
-            records["spawned"] = [spawn for spawn in spawned.values() if not (late and spawn.id == 3)]
-        elif random.random() < 0.05:
-            id = int(random.choice(ids))
-            records["spawned" if not present[id - 1] or random.random() < 0.3 else "destroyed"] = (
-                [Spawn(id, int(random.choice([1, 2])), type_id="again")] if not present[id - 1] else [(id,)]
-            )
-            present[id - 1] = not present[id - 1]
-        if "spawned" in records and not all(isinstance(each, Spawn) for each in records["spawned"]):
-            records["destroyed"] = records.pop("spawned")
-        speed = np.maximum(0.0, speed + random.choice([0.0, 0.3, -9.0], 5) * tick)
-        place[:, 0] += speed * 100 * tick
-        if random.random() < 0.03:
-            place[int(random.integers(5)), 1] += 30_000
-        there = np.flatnonzero(present)
-        records["transforms"] = poses(*((int(ids[n]), *place[n].tolist()) for n in there))
-        if measured:
-            records["velocities"] = moving(*((int(ids[n]), float(speed[n]), 0.0, 0.0) for n in there if n != 4))
-        if random.random() < 0.3:
-            pairs = random.choice([1, 2, 3, 4, NO_ACTOR], (int(random.integers(1, 4)), 2))
-            records["collisions"] = [(0, int(a), int(b), int(random.random() < 0.2), 0) for a, b in pairs]
-        frame = Frame(number, number + 1, elapsed, tick, [])
-        frames.append(frame.replace(**records))
-        elapsed += tick
-    return header, frames
+    with reading(traffic(folder / "traffic.log", seed)) as reader:
+        frames = list(reader.frames())
+        for number in np.flatnonzero(random.random(len(frames)) < 0.3).tolist():
+            pairs = random.choice([1, 2, 3, 4, NO_ACTOR], (int(random.integers(1, 4)), 2)).tolist()
+            hits = [(0, a, b, int(random.random() < 0.2), 0) for a, b in pairs]
+            frames[number] = frames[number].replace(collisions=hits)
+        return reader.header, frames
 
 
 @settings(max_examples=8)
 @given(seed=st.integers(0, 1 << 20))
 def test_a_crowd(tmp_path: Path, seed: int) -> None:
-    header, frames = crowd(seed)
-    one_by_one = write_frames(tmp_path / "one-by-one.mcap", header, frames)
-    log = write_frames(tmp_path / "crowd.log", header, frames)
+    one_by_one, log = (write_frames(tmp_path / name, *crowd(tmp_path, seed)) for name in ("one-by-one.mcap", "crowd.log"))
     convert(log, tmp_path / "crowd.mcap", force=True)
     assert_equal_answers(log, one_by_one, tmp_path / "crowd.mcap")
 
@@ -212,11 +164,8 @@ def test_logs_of_carla(tmp_path: Path) -> None:
 
 
 def test_too_many_look_ups_read_all_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    header, frames = crowd(5)
-    path = write_frames(tmp_path / "crowd.mcap", header, frames)
-    with reading(path) as reader:
+    path = write_frames(tmp_path / "crowd.mcap", *crowd(tmp_path, 5))
+    with reading(path) as reader, closing(WithoutDigest(path)) as without:
         expected = list(answers(reader))
-    monkeypatch.setattr(contacts_module, "LOOK_UPS", 0)
-    without = WithoutDigest(path)
-    assert list(answers(without)) == expected
-    without.close()
+        monkeypatch.setattr(contacts_module, "LOOK_UPS", 0)
+        assert list(answers(without)) == expected

@@ -3,16 +3,14 @@ from __future__ import annotations
 import json as stdlib
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats.base import Reader
-from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 from carla_recap.output.json import json as json_text
 from carla_recap.output.table import table
@@ -20,8 +18,8 @@ from carla_recap.output.text import text
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.tables import column_names
-from tests.queries.conftest import TICK, Make, write
-from tests.queries.measures.conftest import record, straight
+from tests.queries.conftest import TICK, Make
+from tests.queries.measures.conftest import Mover, record, straight
 from tests.samples import CROSSING, carla_log, reading
 
 RATE = 20.0
@@ -81,14 +79,6 @@ def collided(reader: Reader) -> list[Any]:
     return list(incidents(reader, IncidentOptions(kinds=["collision"])))
 
 
-def test_a_contact_is_one_incident(make: Make) -> None:
-    """Of both directions, and over a frame without a record."""
-    (row,) = collided(make({"spawned": CAST}, contact(3, 2), contact(2, 3), contact(3, 2), {}))
-    assert (row.kind, row.start, row.stop) == ("collision", TICK, 3 * TICK)
-    assert (row.actors, row.type_ids) == ((3, 2), ("vehicle.b", "walker.a"))
-    assert (row.x, row.y, row.z) == (5.0, 0.0, 0.5)
-
-
 @pytest.mark.parametrize(
     ("hit", "actors", "text"),
     [
@@ -120,107 +110,47 @@ def test_nothing_that_touches_nothing(make: Make) -> None:
     assert collided(make({"spawned": CAST}, contact(NO_ACTOR, NO_ACTOR))) == []
 
 
-def test_the_actor_is_the_one_that_had_the_id_then(make: Make) -> None:
-    later = {"spawned": [spawn(3, 1, "vehicle.later")]}
-    rows = collided(make({"spawned": CAST}, contact(3, 2), {}, {}, later, contact(3, 2)))
-    assert [row.type_ids[0] for row in rows] == ["vehicle.b", "vehicle.later"]
-
-
 def test_only_vehicles_and_walkers_are_blocked(make: Make) -> None:
     still = {"transforms": [pose(id, 100.0 * id, 50.0) for id in (2, 3, 4, 99)]}
-    rows = list(
-        incidents(
-            make({"spawned": CAST, **still}, *[still] * 9), IncidentOptions(min_time=2.0, kinds=["collision", "blocked"])
-        )
-    )
+    options = IncidentOptions(min_time=2.0, kinds=["collision", "blocked"])
+    rows = incidents(make({"spawned": CAST, **still}, *[still] * 9), options)
     assert [(row.actors, row.start) for row in rows] == [((2,), TICK), ((3,), TICK)]
     assert (rows[0].x, rows[0].y, rows[0].z) == (2.0, -0.5, 0.5)
     assert rows[1].text.startswith("vehicle.b (3) stands still for ")
+    assert (rows[1].measure, rows[1].value, rows[1].unit) == ("duration", rows[1].stop - rows[1].start, "s")
+    assert (rows[1].threshold, rows[1].time) == (2.0, rows[1].stop)
 
 
 # --- hard braking --------------------------------------------------------------------------------------
 
 
-def ways(speeds: Sequence[float], rate: float = RATE) -> list[float]:
-    """Positions in cm at some speeds in m/s."""
-    return np.concatenate(([0.0], np.cumsum(np.asarray(speeds[:-1]) / rate * 100))).tolist()
+def braked(path: Path, *, deceleration: float = 10.0, crash: float = math.inf, kind: int = 1, **hits: Any) -> list[Any]:
+    """Return when an actor brakes hard that has 20 m/s for 1 s, slows down then, and stops at once where it crashes."""
 
+    def x(t: float) -> float:
+        slowing = min(max(min(t, crash) - 1, 0.0), 20 / deceleration)
+        return 20 * min(t, 1.0) + 20 * slowing - deceleration / 2 * slowing * slowing
 
-def slowing(deceleration: float, speed: float = 20.0, seconds: float = 4.0, at: float = 1.0) -> list[float]:
-    """Speeds, frame by frame, of a vehicle that brakes from a time on until it stops."""
-    times = np.arange(seconds * RATE) / RATE
-    return np.maximum(0.0, speed - np.maximum(0.0, times - at) * deceleration).tolist()
-
-
-def drive(
-    path: Path, x: Sequence[float], speeds: Sequence[float] | None = None, *, id: int = 3, rate: float = RATE, **more: Any
-) -> Path:
-    """A recording in which a vehicle drives along x; `more`: further records by frame, as `at_5={...}`."""
-    frames: list[dict[str, Any]] = [{"transforms": [pose(id, place), pose(4, 7.0)]} for place in x]
-    for number, speed in enumerate(speeds or ()):
-        frames[number]["velocities"] = [(id, speed * 0.6, speed * 0.8, 0.0, 0.0, 0.0, 0.0)]
-    frames[0]["spawned"] = CAST
-    for key, records in more.items():
-        frames[int(key.removeprefix("at_"))] |= records
-    durations = [*[1 / rate] * (len(frames) - 1), LAST_FRAME_DURATION]
-    return write(path, frames, header=Header("Town01", 1_600_000_000), durations=durations)
-
-
-def braked(path: Path, **options: Any) -> list[Any]:
-    with reading(path) as reader:
-        return list(incidents(reader, IncidentOptions(kinds=["hard braking"], **options)))
-
-
-@pytest.mark.parametrize("recorded", [False, True])
-@pytest.mark.parametrize("deceleration", [5.0, 7.0, 9.0])
-def test_hard_braking(tmp_path: Path, suffix: str, recorded: bool, deceleration: float) -> None:
-    speeds = slowing(deceleration)
-    # Where speeds are recorded, positions say nothing of braking.
-    x = ways([20.0] * len(speeds)) if recorded else ways(speeds)
-    rows = braked(drive(tmp_path / f"drive{suffix}", x, speeds if recorded else None))
-    if deceleration < 6:
-        assert rows == []
-        return
-    (row,) = rows
-    assert (row.kind, row.actors, row.type_ids) == ("hard braking", (3,), ("vehicle.b",))
-    assert row.start == pytest.approx(1.0, abs=0.15)
-    assert row.stop == pytest.approx(1.0 + 20 / deceleration, abs=0.15)
-    assert row.x == pytest.approx(x[round(row.start * RATE)] / 100, abs=1e-3)
-    assert re.fullmatch(r"vehicle.b \(3\) brakes hard at (69|70|71|72) km/h", row.text)
+    type_id = "vehicle.b" if kind == 1 else "walker.a"
+    movers = [Mover(3, x, kind=kind, type_id=type_id), straight(9, 0, 500, 0)]
+    events = {round(time * RATE): {"collisions": [(0, *pair, 0, 0)]} for pair, time in hits.values()}
+    with reading(record(path, movers, 4.0, RATE, events)) as reader:
+        return list(incidents(reader, IncidentOptions(kinds=["hard braking"])))
 
 
 def test_the_stop_that_a_collision_causes_is_part_of_it(tmp_path: Path) -> None:
-    speeds = slowing(10.0)
-    at = {f"at_{number}": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(speeds)[number])]} for number in (20, 21)}
-    assert braked(drive(tmp_path / "crash.log", ways(speeds), **at)) == []
-    others = {"at_20": {"collisions": [(0, 1, 2, 0, 0)]}}
-    assert len(braked(drive(tmp_path / "others.log", ways(speeds), **others))) == 1
-    late = {"at_40": {"collisions": [(0, 3, 2, 0, 0)]}}
-    (row,) = braked(drive(tmp_path / "late.log", ways(speeds), **late))
+    assert braked(tmp_path / "crash.log", hit=((3, NO_ACTOR), 1.0), again=((3, NO_ACTOR), 1.05)) == []
+    assert len(braked(tmp_path / "others.log", hit=((1, 9), 1.0))) == 1
+    assert braked(tmp_path / "walker.log", kind=2) == []
+    (row,) = braked(tmp_path / "late.log", hit=((3, 9), 2.0))
     assert row.start < row.stop < 2.0
+    assert re.fullmatch(r"vehicle.b \(3\) brakes hard at (69|70|71|72) km/h", row.text)
 
 
-def test_only_vehicles_brake(tmp_path: Path) -> None:
-    assert braked(drive(tmp_path / "drive.log", ways(slowing(9.0)), id=2)) == []
-
-
-@pytest.mark.parametrize("deceleration", [0.0, -1.0, 34.4, math.inf, math.nan])
-def test_what_is_no_deceleration(make: Make, deceleration: float) -> None:
-    with pytest.raises(RecapError, match="above 0 and below"):
-        incidents(make({}), IncidentOptions(deceleration=deceleration))
-
-
-# --- all together --------------------------------------------------------------------------------------
-
-
-def test_in_order_of_start_then_kind(make: Make) -> None:
-    still = [pose(id, 100.0 * id) for id in (1, 2, 3)]
-    hit = {"collisions": [(0, 1, 2, 0, 0)], "transforms": still}
-    rows = incidents(
-        make({"spawned": CAST, "transforms": still}, hit, *[{"transforms": still}] * 9), IncidentOptions(min_time=2.0)
-    )
-    assert [(row.start, row.kind) for row in rows] == sorted((row.start, row.kind) for row in rows)
-    assert {row.kind for row in rows} == {"blocked", "collision"}
+def test_the_value_of_hard_braking_that_a_collision_ends_is_from_before(tmp_path: Path, suffix: str) -> None:
+    (row,) = braked(tmp_path / f"crash{suffix}", deceleration=7.0, crash=2.0, hit=((3, NO_ACTOR), 2.0))
+    assert row.value == pytest.approx(7.0, abs=0.1)
+    assert row.start <= row.time <= row.stop < 2.0
 
 
 def test_reports(make: Make) -> None:
@@ -244,38 +174,13 @@ def test_the_value_of_a_collision_is_the_speed_of_the_actors_relative_to_each_ot
     assert math.isnan(row.threshold)
 
 
-def test_the_value_of_a_long_stop_is_its_duration(make: Make) -> None:
-    still = {"transforms": [pose(3, 300.0)]}
-    (row,) = incidents(make({"spawned": CAST, **still}, *[still] * 9), IncidentOptions(min_time=2.0))
-    assert (row.measure, row.value, row.unit) == ("duration", row.stop - row.start, "s")
-    assert (row.threshold, row.time) == (2.0, row.stop)
-
-
-def test_the_value_of_hard_braking_that_a_collision_ends_is_from_before(tmp_path: Path, suffix: str) -> None:
-    speeds = [*slowing(7.0)[:40], *[0.0] * 20]
-    hit = {"at_40": contact(3, NO_ACTOR) | {"transforms": [pose(3, ways(speeds)[40])]}}
-    (row,) = braked(drive(tmp_path / f"crash{suffix}", ways(speeds), speeds, **hit))
-    assert row.value == pytest.approx(7.0, abs=0.1)
-    assert row.start <= row.time <= row.stop < 2.0
-
-
 # --- near misses ---------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def crossing(tmp_path: Path, suffix: str, opened: Callable[[Path], Reader]) -> Callable[[float], Reader]:
-    """Returns a recording in which car 5 crosses the path of car 3, some seconds after it has left."""
-
-    def recorded(seconds: float) -> Reader:
-        first = straight(3, -20, 0, 10, type_id="vehicle.b")
-        second = straight(5, 0, -26 - 10 * seconds, 10, yaw=90, type_id="vehicle.d")
-        return opened(record(tmp_path / f"{seconds}{suffix}", [first, second], 6.0, RATE, {}))
-
-    return recorded
-
-
-def test_near_misses(crossing: Callable[[float], Reader]) -> None:
-    reader = crossing(0.4)
+def test_near_misses(tmp_path: Path, suffix: str, opened: Callable[[Path], Reader]) -> None:
+    """Car 5 crosses the path of car 3, 0.4 s after it has left."""
+    cars = [straight(3, -20, 0, 10, type_id="vehicle.b"), straight(5, 0, -30, 10, yaw=90, type_id="vehicle.d")]
+    reader = opened(record(tmp_path / f"crossing{suffix}", cars, 6.0, RATE, {}))
     (row,) = incidents(reader, IncidentOptions(kinds=["near miss"]))
     assert (row.kind, row.actors, row.type_ids) == ("near miss", (5, 3), ("vehicle.d", "vehicle.b"))
     assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 2.70 s, at 36 km/h"
@@ -287,17 +192,20 @@ def test_near_misses(crossing: Callable[[float], Reader]) -> None:
     assert incidents(reader) == []
 
 
-@pytest.mark.parametrize("value", [-0.1, math.inf, math.nan])
-def test_a_required_deceleration_without_a_sense_is_an_error(value: float) -> None:
-    with pytest.raises(RecapError, match=f"^required_deceleration is {value:g} m/s²; expected 0 or more$"):
-        IncidentOptions(required_deceleration=value)
-
-
-@pytest.mark.parametrize("name", ["time_to_collision", "post_encroachment_time"])
-@pytest.mark.parametrize("value", [-0.1, 60.1, math.inf, math.nan])
-def test_limits_of_near_misses_without_a_sense_are_errors(name: str, value: float) -> None:
-    with pytest.raises(RecapError, match=f"^{name} is {value:g} s; expected 0 to 60 s$"):
-        IncidentOptions(**{name: value})
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("required_deceleration", [-0.1, math.inf, math.nan]),
+        ("time_to_collision", [-0.1, 60.1, math.inf, math.nan]),
+        ("post_encroachment_time", [-0.1, 60.1, math.inf, math.nan]),
+        ("deceleration", [0.0, -1.0, 34.4, math.inf, math.nan]),
+        ("min_time", [-1.0, math.nan]),
+    ],
+)
+def test_limits_without_a_sense_are_errors(name: str, values: list[float]) -> None:
+    for value in values:
+        with pytest.raises(RecapError, match=rf"^{name}\b.*{value:g}"):
+            IncidentOptions(**{name: value})
 
 
 @pytest.mark.parametrize(("actor", "found"), [(None, [(1, 2), (3, 5)]), ("hero", [(1, 2)]), (2, [(1, 2)]), (5, [(3, 5)])])
@@ -310,13 +218,3 @@ def test_an_actor_that_does_not_exist_is_an_error(make: Make) -> None:
     source = make({"spawned": CAST}, contact(1, 2, 1))
     with pytest.raises(RecapError, match="no actor 77; known ids are 1 \\(hero\\)"):
         incidents(source, IncidentOptions(actor=77))
-
-
-def test_limits_of_near_misses_are_options(crossing: Callable[[float], Reader]) -> None:
-    reader = crossing(0.4)
-    assert incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.3)) == []
-    (row,) = incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.5))
-    assert (row.measure, row.threshold) == ("post_encroachment_time", 0.5)
-    later = crossing(1.8)
-    assert incidents(later, IncidentOptions(kinds=["near miss"])) == []
-    assert len(incidents(later, IncidentOptions(kinds=["near miss"], post_encroachment_time=2))) == 1

@@ -47,7 +47,3 @@ def test_measures_of_the_road_are_left_out_with_a_warning(crossing):
 def test_a_given_folder_without_the_map_is_an_error(crossing, tmp_path, folder):
     with pytest.raises(RecapError, match=r"no \.xodr in" if folder else "is unknown, but its roads are needed"):
         roads_of(crossing, str(tmp_path) if folder else None, needed=not folder)
-
-
-def test_an_unknown_map_is_none_where_it_is_not_needed(crossing):
-    assert roads_of(crossing) is None

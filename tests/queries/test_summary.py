@@ -12,24 +12,21 @@ from carla_recap.output.json import json as json_text
 from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.queries.summary import summary
-from tests.cli.command import CROSSING, answer, run, the_line
+from tests.cli.command import CROSSING, answer
 
 CRASH = CROSSING.with_name("crash.mcap")
 
 
-@pytest.fixture
-def recorded(tmp_path):
-    """Return a function that records the hero at some x in m, a frame each second."""
+HERO = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
 
-    def record(places, suffix=".log", **more):
-        spawn = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
-        with create_recording(tmp_path / f"run{suffix}", map_name="nowhere") as recorder:
-            for number, x in enumerate(places):
-                records = {"spawned": [spawn, *more.get("others", [])]} if number == 0 else {}
-                recorder.add_frame(float(number), transforms=[(7, 100 * x, 0, 0, 0, 0, 0)], **records)
-        return open_recording(tmp_path / f"run{suffix}")
 
-    return record
+def recorded(tmp_path, places, suffix=".log", **events):
+    """Record the hero at some x in m, a frame each second, and events: records by `at_` and the number of the frame."""
+    with create_recording(tmp_path / f"run{suffix}", map_name="nowhere") as recorder:
+        for number, x in enumerate(places):
+            records = {"spawned": [HERO, *events.get("others", [])]} if number == 0 else events.get(f"at_{number}", {})
+            recorder.add_frame(float(number), transforms=[(7, 100 * x, 0, 0, 0, 0, 0)], **records)
+    return open_recording(tmp_path / f"run{suffix}")
 
 
 def test_actors_are_counted_by_kind_vehicles_and_walkers_first():
@@ -48,29 +45,20 @@ def test_incidents_are_those_of_all_kinds():
 
 
 @pytest.mark.parametrize("suffix", [".log", ".mcap"])
-def test_the_way_of_the_hero_has_no_jumps(recorded, suffix):
-    with recorded([0, 10, 30, 30, 530, 535], suffix) as recording, pytest.warns(RecapWarning, match="'nowhere' is unknown"):
+@pytest.mark.parametrize(
+    ("places", "events", "time", "distance", "top_speed"),
+    [
+        ([0, 10, 30, 30, 530, 535], {}, 5, 35, 15),  # of the slope around the second frame, not of the jump
+        ([0, math.nan, 10, 20], {}, 3, 20, 10),
+        (range(0, 90, 10), {"at_5": {"destroyed": [7], "spawned": [Spawn(7, ActorKind.VEHICLE)]}}, 4, 40, 10),
+    ],
+    ids=["a jump", "no number", "another actor with its id"],
+)
+def test_the_way_of_the_hero(tmp_path, suffix, places, events, time, distance, top_speed):
+    with recorded(tmp_path, places, suffix, **events) as recording, pytest.warns(RecapWarning, match="'nowhere' is unknown"):
         hero = recording.summary.hero
-    assert (hero.id, hero.type_id, hero.time) == (7, "vehicle.audi.tt", 5)
-    assert hero.distance == pytest.approx(35)
-    assert hero.top_speed == pytest.approx(15)  # of the slope around the second frame
-
-
-def test_the_way_of_the_hero_ends_where_another_actor_gets_its_id(tmp_path):
-    spawn = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
-    with create_recording(tmp_path / "a.log", map_name="nowhere") as recorder:
-        for number in range(9):
-            again = {"destroyed": [7], "spawned": [Spawn(7, ActorKind.VEHICLE)]} if number == 5 else {}
-            records = {"spawned": [spawn]} if number == 0 else again
-            recorder.add_frame(float(number), transforms=[(7, 100 * number, 0, 0, 0, 0, 0)], **records)
-    with open_recording(tmp_path / "a.log") as recording, pytest.warns(RecapWarning, match="'nowhere' is unknown"):
-        hero = recording.summary.hero
-    assert (hero.time, hero.distance) == (4, 4)
-
-
-def test_places_that_are_not_finite_do_not_count(recorded):
-    with recorded([0, math.nan, 10, 20]) as recording, pytest.warns(RecapWarning):
-        assert recording.summary.hero.distance == pytest.approx(20)
+    assert (hero.id, hero.type_id, hero.time) == (7, "vehicle.audi.tt", time)
+    assert (hero.distance, hero.top_speed) == pytest.approx((distance, top_speed))
 
 
 @pytest.mark.parametrize(
@@ -81,9 +69,9 @@ def test_places_that_are_not_finite_do_not_count(recorded):
         (["static.prop.mesh"], "1 other"),
     ],
 )
-def test_others_that_are_mostly_of_one_blueprint_say_so(recorded, types, words):
+def test_others_that_are_mostly_of_one_blueprint_say_so(tmp_path, types, words):
     others = [Spawn(100 + number, ActorKind.OTHER, type_id=name) for number, name in enumerate(types)]
-    with recorded([0, 10], others=others) as recording, pytest.warns(RecapWarning):
+    with recorded(tmp_path, [0, 10], others=others) as recording, pytest.warns(RecapWarning):
         shown = "".join(text(summary(recording.reader, options=IncidentOptions(kinds="all"))))
     assert f"Actors: 1 vehicle, {words}\n" in shown
 
@@ -106,7 +94,3 @@ def test_the_text_of_one_recording_has_few_lines_and_of_many_a_line_each_and_jso
     assert rows[1].endswith("Brickfield   1 near miss")
     (row,) = json.loads("".join(json_text(found)))["rows"]
     assert (row["actors"]["vehicle"], row["hero"]["id"], row["incidents"]["collision"]) == (5, 41, 2)
-
-
-def test_an_unknown_map_is_said():
-    assert "the map 'Crossing' is unknown; rules of the road are left out" in the_line(run("summary", CROSSING).stderr)

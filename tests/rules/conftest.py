@@ -20,7 +20,9 @@ HERO: Final = 1
 
 
 class Judge(Protocol):
-    def __call__(self, rules: str, *ways: ArrayLike, hits: Mapping[int, int] = ...) -> Verdict: ...
+    def __call__(
+        self, rules: str, *ways: ArrayLike, hits: Mapping[int, int] = ..., walkers: Collection[int] = ...
+    ) -> Verdict: ...
 
 
 @pytest.fixture(scope="session")
@@ -29,11 +31,11 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     folder = tmp_path_factory.mktemp("ways")
     paths: dict[str, Path] = {}
 
-    def path_of(ways: Sequence[ArrayLike], hits: Mapping[int, int]) -> Path:
-        key = repr(([np.asarray(way).tolist() for way in ways], dict(hits)))
+    def path_of(ways: Sequence[ArrayLike], *more: Any) -> Path:
+        key = repr(([np.asarray(way).tolist() for way in ways], *more))
         if key not in paths:
             paths[key] = folder / f"{len(paths)}.mcap"
-            write(paths[key], ways, hits)
+            write(paths[key], ways, *more)
         return paths[key]
 
     return path_of
@@ -44,15 +46,17 @@ def judge(tmp_path: Path, recorded: Callable[..., Path]) -> Judge:
     """Judges a rule, or the last one of a file, on actors that drive ways: the hero, then cars without a role.
 
     A way has a row of x, y and maybe z in m, right-handed, for each frame of 0.1 s. In the frames of `hits`, the hero
-    collides with the actor.
+    collides with the actor. Those of the numbers of `walkers` are no cars.
     """
 
-    def judged(rules: str, *ways: ArrayLike, hits: Mapping[int, int] | None = None) -> Verdict:
+    def judged(
+        rules: str, *ways: ArrayLike, hits: Mapping[int, int] | None = None, walkers: Collection[int] = ()
+    ) -> Verdict:
         road = tmp_path / "Straight.xodr"
         road.write_text(STRAIGHT_ROAD, "utf-8")
         text = dedent(rules)
         parsed = parse_rules(text if "[rules." in text else f"[rules.it]\n{text}", "rules.toml")
-        with open_recording(recorded(ways, hits or {})) as recording:
+        with open_recording(recorded(ways, hits or {}, walkers)) as recording:
             return check(recording, parsed, road_map=str(road))[-1]
 
     return judged

@@ -328,6 +328,12 @@ class Scope:
         """The places that it depends on."""
         return tuple(each for each in (self.after, self.until, self.where) if each is not None and not isinstance(each, str))
 
+    def span(self, life: ActorLife, facts: Facts) -> tuple[float, float]:
+        """Return from when until when times of an actor are within the scope, wherever it is."""
+        start, stop = (-math.inf, math.inf) if self.during is None else (each.value for each in self.during)
+        after, until = (None if each is None else facts.first(each, life) for each in (self.after, self.until))
+        return max(start, -math.inf if after is None else after), min(stop, math.inf if until is None else until)
+
     def has(self, life: ActorLife, time: Floats, facts: Facts) -> Booleans:
         """Return which times of an actor are within the scope."""
         found = np.ones(len(time), np.bool_)

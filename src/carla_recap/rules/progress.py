@@ -208,9 +208,13 @@ class DistanceDriven(Condition):
         driven, applies = [], False
         for life in subjects:
             time, distance = facts.positions(life).time, facts.positions(life).distance
-            counts = self.scope.has(life, time, facts)
+            counts, (start, stop) = self.scope.has(life, time, facts), self.scope.span(life, facts)
             applies |= bool(counts.any())
-            steps = np.append(0.0, np.where(counts[1:] & counts[:-1], np.diff(distance), 0.0))
+            within = np.interp(np.clip(time, start, max(start, stop)), time, distance)
+            steps = np.diff(within, prepend=within[:1])
+            if self.scope.where is not None:
+                inside = facts.is_in(self.scope.where, life, time)
+                steps[1:] *= inside[1:] & inside[:-1]
             total = float(steps.sum())
             driven.append(total)
             if not self.bounds.contain(total):

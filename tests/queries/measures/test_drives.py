@@ -11,7 +11,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.queries.measures.drives import COMFORT, comfort, comfort_values
 from carla_recap.queries.score import ABILITIES, Infraction, Route, Score, abilities, bench2drive
-from tests.queries.score.drives import HERO, OTHER, ROUTE, Drives, at_speed, vehicle, westward
+from tests.queries.score.drives import HERO, OTHER, Drives, at_speed, vehicle, westward
 
 
 @pytest.fixture
@@ -38,22 +38,28 @@ def turning(speed: float, yaw: Any) -> tuple[Any, Any, Any]:
     return FRAMES, speed * np.stack((np.cos(yaw), np.sin(yaw)), axis=1), yaw
 
 
-def test_a_constant_speed_is_smooth() -> None:
-    assert outside(*straight(np.full(len(FRAMES), 12.0))) == {}
-
-
 @pytest.mark.parametrize(
-    ("acceleration", "is_outside"), [(2.3, False), (2.5, True), (-4.0, False), (-4.1, True)], ids=lambda value: str(value)
+    ("motion", "expected"),
+    [
+        (straight(np.full(len(FRAMES), 12.0)), {}),
+        (straight(40 + 2.3 * FRAMES), {}),
+        (straight(40 + 2.5 * FRAMES), {"longitudinal_acceleration": 100}),
+        (straight(40 - 4.0 * FRAMES), {}),
+        (straight(40 - 4.1 * FRAMES), {"longitudinal_acceleration": 100}),
+        (turning(8.0, 8.0 / 16.0 * FRAMES), {}),  # 4 m/s² and 0.5 rad/s
+        (turning(8.0, np.remainder(0.5 * FRAMES + np.pi, 2 * np.pi) - np.pi), {}),  # past 180 degrees
+        (turning(10.0, 10.0 / 16.0 * FRAMES), {"lateral_acceleration": 100}),  # 6.25 m/s²
+        (turning(4.0, FRAMES), {"yaw_rate": 100}),  # 1 rad/s and 4 m/s²
+        (turning(-4.0, -FRAMES), {"yaw_rate": 100}),
+        # Braking with 5 m/s² from 2.5 to 3.5 s is in the second of four windows; it begins and ends with a jerk.
+        (
+            straight(20 - 5 * np.clip(FRAMES - 2.5, 0, 1)),
+            {"longitudinal_acceleration": 25, "longitudinal_jerk": 25, "jerk": 25},
+        ),
+    ],
 )
-def test_accelerations_have_bounds(acceleration: float, is_outside: bool) -> None:
-    expected = {"longitudinal_acceleration": 100} if is_outside else {}
-    assert outside(*straight(40 + acceleration * FRAMES)) == expected
-
-
-def test_a_window_counts_as_a_whole() -> None:
-    """Braking with 5 m/s² from 2.5 to 3.5 s is in the second of four windows; it begins and ends with a jerk."""
-    found = outside(*straight(20 - 5 * np.clip(FRAMES - 2.5, 0, 1)))
-    assert found == pytest.approx({"longitudinal_acceleration": 25, "longitudinal_jerk": 25, "jerk": 25})
+def test_quantities_have_bounds_and_a_window_counts_as_a_whole(motion: Any, expected: dict[str, float]) -> None:
+    assert outside(*motion) == pytest.approx(expected)
 
 
 def out(along: Any, aside: Any, turning: Any) -> set[str]:
@@ -73,30 +79,6 @@ def test_slopes_have_bounds(sign: int) -> None:
     assert out(0 * six, sign * 8.5 * six, 0.0) == {"jerk"}
     assert out(0 * ten, 0.0, 1.8 * ten) == set()
     assert out(0 * ten, 0.0, 2.0 * ten) == {"yaw_acceleration"}
-
-
-def test_windows_are_complete() -> None:
-    values = comfort_values(np.arange(59.0), np.zeros(59), np.zeros(59))
-    assert values["longitudinal_acceleration"] == pytest.approx(np.arange(40.0).reshape(2, 20))
-
-
-@pytest.mark.parametrize(
-    ("speed", "radius", "expected"),
-    [
-        (8.0, 16.0, {}),  # 4 m/s² and 0.5 rad/s
-        (10.0, 16.0, {"lateral_acceleration": 100}),  # 6.25 m/s²
-        (4.0, 4.0, {"yaw_rate": 100}),  # 1 rad/s and 4 m/s²
-        (-4.0, 4.0, {"yaw_rate": 100}),
-    ],
-)
-def test_curves_have_bounds(speed: float, radius: float, expected: dict[str, float]) -> None:
-    found = outside(*turning(speed, speed / radius * FRAMES))
-    assert found == expected
-
-
-def test_headings_may_pass_180_degrees() -> None:
-    time, velocity, yaw = turning(8.0, 0.5 * FRAMES)
-    assert outside(time, velocity, np.remainder(yaw + np.pi, 2 * np.pi) - np.pi) == {}
 
 
 def test_what_says_nothing_about_comfort() -> None:
@@ -151,11 +133,6 @@ def test_a_route_with_a_slow_quarter_is_a_success(drives: Drives) -> None:
     assert len({found, found}) == 1
     hit = {OTHER: (vehicle(OTHER, "parked"), [(200.0, 1.75, 0.0)] * len(speeds))}
     assert drives(westward(speeds), others=hit, touches=[(60, OTHER)]).success is False
-
-
-def test_the_scenario_is_that_of_the_route(drives: Drives) -> None:
-    route = Route("1", "Brickfield", ROUTE.positions, ("Accident", "ControlLoss"))
-    assert drives(westward(at_speed(10, 101)), route=route).scenarios == ("Accident", "ControlLoss")
 
 
 def scored(scenario: str, *kinds: str, completion: float = 100.0, junction: float | None = None) -> Score:

@@ -97,36 +97,39 @@ def test_the_frame_rate_changes_nothing(rate: int) -> None:
     assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
 
 
-@pytest.mark.parametrize(("dz", "some"), [(2.0, True), (-2.0, True), (2.001, False), (-2.001, False)])
-def test_a_bridge_is_no_crossing(dz: float, some: bool) -> None:
+def raised(dz: float) -> MotionTable:
     """Boxes of 1.5 m and 2.5 m height touch up to 2 m between their centres."""
-    z = np.stack([np.full(len(TIME), 5.0), np.full(len(TIME), 5.0 + dz)])
-    assert (len(found_in(crossing(TIME, z=z))) > 0) == some
+    return crossing(TIME, z=np.stack([np.full(len(TIME), 5.0), np.full(len(TIME), 5.0 + dz)]))
 
 
-@pytest.mark.parametrize("actor", [0, 1])
-@pytest.mark.parametrize(("speed", "some"), [(1.0, True), (0.999, False)])
-def test_an_actor_below_a_metre_per_second_crosses_nothing(actor: int, speed: float, some: bool) -> None:
+def slowed(actor: int, speed: float) -> MotionTable:
     table = crossing(TIME)
-    vx, vy = table.vx.copy(), table.vy.copy()
-    (vx, vy)[actor][actor] = speed
-    assert (len(found_in(replace(table, vx=vx, vy=vy))) > 0) == some
+    (table.vx, table.vy)[actor][actor] = speed
+    return table
 
 
-@pytest.mark.parametrize(("angle", "some"), [(29.9, False), (30.1, True), (149.9, True), (150.1, False), (-29.9, False)])
-def test_paths_cross_at_thirty_degrees(angle: float, some: bool) -> None:
-    yaw = np.stack([np.zeros(len(TIME)), np.full(len(TIME), math.radians(angle))])
-    x, y = 10 * (TIME - 7) * math.cos(yaw[1, 0]), 10 * (TIME - 7) * math.sin(yaw[1, 0])
-    table = crossing(TIME, yaw=yaw)
-    table = replace(table, x=np.stack([table.x[0], x]), y=np.stack([table.y[0], y]))
-    assert (len(found_in(table)) > 0) == some
+def turned(angle: float) -> MotionTable:
+    """The second one comes at an angle in degrees."""
+    yaw, way, table = math.radians(angle), 10 * (TIME - 7), crossing(TIME)
+    table.x[1], table.y[1], table.yaw[1] = way * math.cos(yaw), way * math.sin(yaw), yaw
+    return table
 
 
-@pytest.mark.parametrize(("moment", "some"), [(1.5, True), (2.4, False), (9.6, False), (10.45, True)])
-def test_actors_that_touch_within_three_seconds_are_there_at_once(moment: float, some: bool) -> None:
+def touching(moment: float) -> MotionTable:
     """The first one leaves from 4.7 s to 5.3 s, the second one arrives from 6.7 s to 7.3 s, and they touch once."""
-    table = crossing(TIME)
-    frame = round(moment * 20)
-    x, y = table.x.copy(), table.y.copy()
-    x[0, frame], y[0, frame] = x[1, frame] + 1, y[1, frame] + 1
-    assert (len(found_in(replace(table, x=x, y=y))) > 0) == some
+    table, frame = crossing(TIME), round(moment * 20)
+    table.x[0, frame], table.y[0, frame] = table.x[1, frame] + 1, table.y[1, frame] + 1
+    return table
+
+
+@pytest.mark.parametrize(
+    ("changed", "some"),
+    [
+        *((raised(dz), abs(dz) <= 2) for dz in (2.0, -2.0, 2.001, -2.001)),
+        *((slowed(actor, speed), speed >= 1) for actor in (0, 1) for speed in (1.0, 0.999)),
+        *((turned(angle), 30 <= angle <= 150) for angle in (29.9, 30.1, 149.9, 150.1, -29.9)),
+        *((touching(moment), some) for moment, some in ((1.5, True), (2.4, False), (9.6, False), (10.45, True))),
+    ],
+)
+def test_what_is_a_crossing(changed: MotionTable, some: bool) -> None:
+    assert (len(found_in(changed)) > 0) == some

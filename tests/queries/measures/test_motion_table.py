@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import closing
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapWarning
-from carla_recap.formats import open_reader
 from carla_recap.formats.base import Reader
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame
@@ -75,12 +71,6 @@ def test_a_table_of_few_frames_in_much_time_has_no_more_moments_than_fit(
         assert table.time[-1] - table.time[0] <= 40
 
 
-def test_margins_are_whole_however_many_actors_there_are(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(motion_table, "_VALUES", 10)
-    for table in tables_of(drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10), after=4.0):
-        assert table.time[-1] >= min(table.time[table.last - 1] + 4.0, 10.0) - 1e-6
-
-
 @pytest.mark.parametrize("early", [False, True])
 def test_margins_have_a_limited_number_of_frames(monkeypatch: pytest.MonkeyPatch, early: bool) -> None:
     """However little time passes, or if all times but the first are before that one."""
@@ -136,12 +126,3 @@ def test_an_unknown_actor_has_the_size_of_its_kind(drive: Drive, given: dict, si
     (table,) = tables_of(drive([Mover(1, size=None, **given)], seconds=0.5))
     assert (table.length[0], table.width[0], table.height[0]) == pytest.approx(size)
     assert table.z[0, 0] == pytest.approx(0.0 if given.get("kind") == 2 else size[2] / 2, abs=1e-3)
-
-
-def test_signalling_nan_is_unknown_without_a_warning(drive: Drive) -> None:
-    reader = drive([Mover(1, lambda t: 123.75 if t == 1 else t)], seconds=2, suffix=".log")
-    path = Path(reader.path)
-    path.write_bytes(path.read_bytes().replace(np.float32(12375).tobytes(), np.uint32(0x7F800001).tobytes()))
-    with closing(open_reader(path)) as damaged:
-        (table,) = tables_of(damaged)
-    assert np.flatnonzero(np.isnan(table.x[0])).tolist() == [20]

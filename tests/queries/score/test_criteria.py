@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.formats import open_reader
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
-from carla_recap.queries.score import Route, Score, ScoreOptions, score
+from carla_recap.queries.score import INFRACTIONS, Route, Score, ScoreOptions, score
 from carla_recap.roads import find_road_network
 from carla_recap.roads import network as roads
 from carla_recap.roads.network import RoadNetwork
@@ -59,54 +59,47 @@ def test_the_completion_is_the_share_of_the_route_that_is_driven(drives: Drives)
     assert found.score == found.completion
 
 
-def test_frames_that_are_far_apart_complete_a_route_as_well(drives: Drives) -> None:
-    assert drives(westward([30.0] * 80)).status == "Perfect"
-    slow = [(x, y, yaw) for number, (x, y, yaw) in enumerate(WHOLE) if number % 8 == 0]
-    assert drives(slow, tick=8 * TICK).status == "Perfect"
+SLOW: Final = 0.5  # s between two frames
+ARRIVES: Final = [*westward(at_speed(10.0, 40.0))]
 
 
-def test_a_hero_far_from_the_route_has_left_it(drives: Drives) -> None:
-    straight = westward(at_speed(10.0, 40.0))
-    away: list[Pose] = [(215.0, Y + 0.5 * step, 90.0) for step in range(1, 100)]
-    found = drives(straight + away)
-    assert (found.outcome, kinds(found)[-1]) == ("Failed - Agent deviated from the route", "route_dev")
-    last = found.infractions[-1]
-    assert last.y - Y == pytest.approx(30.0, abs=1.0)
-    assert last.time == found.stop
+@pytest.mark.parametrize(
+    ("poses", "tick", "outcome", "found"),
+    [
+        (westward([30.0] * 80), TICK, "Perfect", []),
+        (WHOLE[::8], 8 * TICK, "Perfect", []),  # frames that are far apart complete a route as well
+        (
+            ARRIVES + [(215.0, Y + 0.5 * n, 90.0) for n in range(1, 100)],
+            TICK,
+            "Agent deviated from the route",
+            ["route_dev"],
+        ),
+        (ARRIVES + [(215.0, Y + 0.5 * n, 90.0) for n in range(1, 58)], TICK, "Recording ends", []),
+        ([(x, Y + 20.0, yaw) for x, _, yaw in WHOLE], TICK, "deviated", ["route_dev"]),
+        ([(x, Y + 14.0, yaw) for x, _, yaw in WHOLE], TICK, "", []),
+        (westward([98.0] * 20), TICK, "", []),  # 4.9 m in a tick
+        (westward([10.0] * 6 + [0.0] * 370, tick=SLOW), SLOW, "Agent got blocked", ["vehicle_blocked"]),
+        (westward([10.0] * 6 + [0.0] * 357 + [0.2, 0.2] + [0.0] * 10, tick=SLOW), SLOW, "Recording ends", []),
+        (westward([0.11] * 900, tick=SLOW), SLOW, "Agent timed out", ["route_timeout"]),
+    ],
+)
+def test_how_a_route_ends(drives: Drives, poses: list[Pose], tick: float, outcome: str, found: list[str]) -> None:
+    score = drives(poses, tick=tick)
+    assert outcome in score.outcome
+    assert [kind for kind in kinds(score) if INFRACTIONS[kind].ends] == found
+    assert all(each.time == score.stop for each in score.infractions[-1:] if INFRACTIONS[each.kind].ends)
+
+
+def test_where_and_when_a_route_ends(drives: Drives) -> None:
+    found = drives(ARRIVES + [(215.0, Y + 0.5 * n, 90.0) for n in range(1, 100)])
+    assert found.infractions[-1].y - Y == pytest.approx(30.0, abs=1.0)
     assert found.completion == pytest.approx(40.0, abs=1.5)
-    near: list[Pose] = [(215.0, Y + 0.5 * step, 90.0) for step in range(1, 58)]
-    assert "route_dev" not in kinds(drives(straight + near))
-
-
-def test_a_hero_is_followed_for_5_m_of_the_route_in_a_tick(drives: Drives) -> None:
-    assert "route_dev" not in kinds(drives(westward([98.0] * 20)))  # 4.9 m in a tick
+    assert drives([(x, Y + 20.0, yaw) for x, _, yaw in WHOLE]).completion == pytest.approx(30.0, abs=3.0)
+    (blocked,) = drives(westward([10.0] * 6 + [0.0] * 370, tick=SLOW), tick=SLOW).infractions
+    assert (blocked.time, blocked.x) == (pytest.approx(3.0 + 180.0, abs=0.6), pytest.approx(START - 30.0, abs=0.5))
+    assert 300 < drives(westward([0.11] * 900, tick=SLOW), tick=SLOW).stop < 400
     with pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 8 of 8 frames, in which it counts as moving"):
         assert "route_dev" in kinds(drives(westward([240.0] * 8)))
-
-
-def test_a_hero_that_drives_beside_the_route_for_long_has_left_it(drives: Drives) -> None:
-    beside = [(x, Y + 20.0, yaw) for x, _, yaw in WHOLE]
-    found = drives(beside)
-    assert found.infractions[-1].kind == "route_dev"
-    assert found.completion == pytest.approx(30.0, abs=3.0)
-    assert "route_dev" not in kinds(drives([(x, Y + 14.0, yaw) for x, _, yaw in WHOLE]))
-
-
-def test_a_hero_that_stands_for_three_minutes_is_blocked(drives: Drives) -> None:
-    tick = 0.5
-    arrives = at_speed(10.0, 30.0, tick)
-    found = drives(westward([*arrives, *[0.0] * 370], tick=tick), tick=tick)
-    assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
-    assert found.infractions[0].time == pytest.approx(3.0 + 180.0, abs=0.6)
-    assert found.infractions[0].x == pytest.approx(START - 30.0, abs=0.5)
-    assert kinds(drives(westward([*arrives, *[0.0] * 357, 0.2, 0.2, *[0.0] * 10], tick=tick), tick=tick)) == []
-
-
-def test_a_hero_that_is_slower_than_a_tenth_of_the_limit_runs_out_of_time(drives: Drives) -> None:
-    tick = 0.5
-    found = drives(westward([0.11] * 900, tick=tick), tick=tick)
-    assert (found.status, kinds(found)) == ("Failed - Agent timed out", ["route_timeout"])
-    assert 300 < found.stop < 400
 
 
 # --- collisions ----------------------------------------------------------------------------------------------------------
@@ -145,22 +138,19 @@ def test_a_hero_that_stands_is_not_at_fault(drives: Drives) -> None:
     assert kinds(drives(stands, others=with_walker, touches=[(50, OTHER)])) == ["collisions_pedestrian"]
 
 
-def test_collisions_within_5_m_are_one(drives: Drives) -> None:
-    """At 10 m/s, 5 m are 10 frames."""
+@pytest.mark.parametrize(
+    ("touches", "count"),
+    [
+        ([(80, OTHER), (88, 9)], 1),  # within 5 m, which are 10 frames at 10 m/s
+        ([(80, OTHER), (95, 9)], 2),
+        ([(20, OTHER), (110, OTHER)], 1),  # with one actor within 5 s
+        ([(20, OTHER), (130, OTHER)], 2),
+        ([(frame, OTHER) for frame in range(20, 180)], 2),  # a contact that lasts counts again after 5 s
+    ],
+)
+def test_collisions_near_each_other_are_one(drives: Drives, touches: list[tuple[int, int]], count: int) -> None:
     others = {OTHER: (WALKER, beside()), 9: (Spawn(9, 2, type_id="walker.pedestrian.0002"), beside())}
-    assert len(drives(WHOLE, others=others, touches=[(80, OTHER), (88, 9)]).infractions) == 1
-    assert len(drives(WHOLE, others=others, touches=[(80, OTHER), (95, 9)]).infractions) == 2
-
-
-def test_collisions_with_an_actor_within_5_s_are_one(drives: Drives) -> None:
-    others = {OTHER: (WALKER, beside())}
-    assert len(drives(WHOLE, others=others, touches=[(20, OTHER), (110, OTHER)]).infractions) == 1
-    assert len(drives(WHOLE, others=others, touches=[(20, OTHER), (130, OTHER)]).infractions) == 2
-
-
-def test_a_contact_that_lasts_counts_again_after_5_s(drives: Drives) -> None:
-    touches = [(frame, OTHER) for frame in range(20, 180)]
-    assert len(drives(WHOLE, others={OTHER: (vehicle(OTHER), beside())}, touches=touches).infractions) == 2
+    assert len(drives(WHOLE, others=others, touches=touches).infractions) == count
 
 
 # --- lanes ---------------------------------------------------------------------------------------------------------------
@@ -220,23 +210,10 @@ RED, GREEN = 0, 2
 
 def test_a_red_light_is_run_by_the_rear_of_the_hero(drives: Drives) -> None:
     poses, light = over_line(roads.LIGHT)
-    found = drives(poses, route=None, lights={30: (light, RED)})
-    (infraction,) = found.infractions
+    (infraction,) = drives(poses, route=None, lights={30: (light, RED)}).infractions
     assert (infraction.kind, infraction.actor) == ("red_light", 30)
     assert infraction.time == pytest.approx((20 + 0.8 * 3.8 / 2) / 10, abs=0.15)  # a Mini is 3.8 m long
     assert infraction.text.startswith("Agent ran a red light 30 at (x=")
-    assert drives(poses, route=None, lights={30: (light, GREEN)}).infractions == ()
-
-
-@pytest.mark.parametrize("kind", [roads.LIGHT, roads.STOP])
-def test_a_hero_that_jumps_over_a_line_has_run_nothing(drives: Drives, kind: int) -> None:
-    poses, signal = over_line(kind, [*at_speed(10.0, 5.0), 600.0, *at_speed(10.0, 5.0)])
-    assert {"red_light", "stop_infraction"}.isdisjoint(kinds(drives(poses, route=None, lights={30: (signal, RED)})))
-
-
-def test_a_hero_that_stops_with_its_front_over_the_line_has_run_no_light(drives: Drives) -> None:
-    poses, light = over_line(roads.LIGHT, [*at_speed(10.0, 20.5), *[0.0] * 40])
-    assert drives(poses, route=None, lights={30: (light, RED)}).infractions == ()
 
 
 def test_a_stop_sign_demands_a_stop_before_it(drives: Drives) -> None:
@@ -244,12 +221,28 @@ def test_a_stop_sign_demands_a_stop_before_it(drives: Drives) -> None:
     (infraction,) = drives(poses, route=None, others={30: (sign, [])}).infractions
     assert (infraction.kind, infraction.actor) == ("stop_infraction", 30)
     assert infraction.time == pytest.approx(2.0, abs=0.1)
-    stops = [*at_speed(10.0, 17.0), 0.0, 0.0, *at_speed(10.0, 13.0)]
-    poses, sign = over_line(roads.STOP, stops)
-    assert drives(poses, route=None, others={30: (sign, [])}).infractions == ()
-    early = [*at_speed(10.0, 10.0), 0.0, 0.0, *at_speed(10.0, 20.0)]
-    poses, sign = over_line(roads.STOP, early)
-    assert kinds(drives(poses, route=None, others={30: (sign, [])})) == ["stop_infraction"]
+
+
+JUMPS = [*at_speed(10.0, 5.0), 600.0, *at_speed(10.0, 5.0)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "speeds", "state", "found"),
+    [
+        (roads.LIGHT, at_speed(10.0, 30.0), GREEN, []),
+        (roads.LIGHT, [*at_speed(10.0, 20.5), *[0.0] * 40], RED, []),  # it stops with its front over the line
+        (roads.LIGHT, JUMPS, RED, []),
+        (roads.STOP, JUMPS, RED, []),
+        (roads.STOP, [*at_speed(10.0, 17.0), 0.0, 0.0, *at_speed(10.0, 13.0)], RED, []),
+        (roads.STOP, [*at_speed(10.0, 10.0), 0.0, 0.0, *at_speed(10.0, 20.0)], RED, ["stop_infraction"]),  # too early
+    ],
+)
+def test_what_runs_a_light_or_a_stop_sign(
+    drives: Drives, kind: int, speeds: list[float], state: int, found: list[str]
+) -> None:
+    poses, signal = over_line(kind, speeds)
+    lights = {"red_light", "stop_infraction"}
+    assert [each for each in kinds(drives(poses, route=None, lights={30: (signal, state)})) if each in lights] == found
 
 
 # --- other traffic -------------------------------------------------------------------------------------------------------
@@ -322,17 +315,10 @@ def test_an_earlier_actor_with_an_id_is_not_scored(tmp_path: Path, is_destroyed:
     assert found.efficiency == alone.efficiency == pytest.approx(100 * 10 / 8, abs=0.01)
 
 
-def test_a_hero_whose_speed_is_unknown_counts_as_moving(tmp_path: Path) -> None:
-    tick, count = 1.05, 11  # poses that are more than 1 s apart
-    frames: list[dict[str, Any]] = [
-        {"transforms": moving(7, [pose])} for pose in westward([10.0] * count, start=START, tick=tick)
-    ]
-    frames[0]["spawned"] = [vehicle(7, "hero"), vehicle(8)]
-    frames[5]["collisions"] = [(0, 7, 8, True, False)]
-    path = tmp_path / "slow.mcap"
-    write(path, frames, header=Header("Brickfield", 1_600_000_000), durations=[tick] * count)
-    with closing(open_reader(path)) as reader, pytest.warns(RecapWarning, match="in which it counts as moving"):
-        found = score(reader, ROUTE)
+def test_a_hero_whose_speed_is_unknown_counts_as_moving(drives: Drives) -> None:
+    tick = 1.05  # s: poses that are more than 1 s apart
+    with pytest.warns(RecapWarning, match="in which it counts as moving"):
+        found = drives(westward([10.0] * 11, tick=tick), tick=tick, others={8: (vehicle(8), [])}, touches=[(5, 8)])
     assert kinds(found) == ["collisions_vehicle"]
 
 
