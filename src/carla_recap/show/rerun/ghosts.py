@@ -59,7 +59,8 @@ class GhostWriter:
         self._stream = stream
         self._shown, self._named = shown, named
         self._waiting: dict[int, tuple[float, ActorLife]] = {}
-        self._drawn: set[int] = set()
+        self._begun: dict[int, ActorLife] = {}
+        self._drawn: set[int] = set()  # of these, those that are somewhere to be seen
         self._describer = SceneDescriber()
         self._poses = PoseBuffer()
         self._last: TimePoint | None = None
@@ -74,7 +75,7 @@ class GhostWriter:
                 if (
                     key in self._shown
                     and event.actor.kind in ROAD_USERS
-                    and len(self._drawn) + len(self._waiting) < MOST_MODELS
+                    and len(self._begun) + len(self._waiting) < MOST_MODELS
                 ):
                     self._waiting[event.actor.id] = self._shown[key], event.actor
             elif isinstance(event, Destroyed):
@@ -90,8 +91,16 @@ class GhostWriter:
         begun = [id for id, (since, _) in self._waiting.items() if since <= batch.time[0] and batch.index_of(id) is not None]
         if begun:
             self.flush()
-        for id in begun:
-            self._draw(self._waiting.pop(id)[1], description, times.point(0))
+        self._begun |= {id: self._waiting.pop(id)[1] for id in begun}
+        shown = description.recorded_shown & np.isin(batch.ids, list(self._begun))
+        changed = shown != np.concatenate((np.isin(batch.ids, list(self._drawn))[None], shown[:-1]))
+        for row, column in zip(*(index.tolist() for index in np.nonzero(changed)), strict=True):
+            id = int(batch.ids[column])
+            if shown[row, column]:
+                self._draw(self._begun[id], description, times.point(row))
+            else:
+                self._stream.clear(f"{entities.GHOSTS}/{id}", times.point(row))
+        self._drawn = self._drawn.difference(batch.ids.tolist()).union(batch.ids[shown[-1]].tolist())
         self._poses.add(description, times, begun)
         if self._poses.is_full:
             self.flush()
@@ -100,8 +109,8 @@ class GhostWriter:
         """Write what is held back."""
         block = self._poses.take()
         if block is not None:
-            block.write(self._stream, self._drawn, entities.GHOSTS)
-            block.write_points(self._stream, entities.MAP_GHOSTS, self._drawn)
+            block.write(self._stream, self._begun, entities.GHOSTS)
+            block.write_points(self._stream, entities.MAP_GHOSTS, self._begun)
 
     def close(self) -> None:
         """Write what is held back, and remove all ghosts."""
@@ -114,7 +123,6 @@ class GhostWriter:
         look = description.actors.look_of(actor.id)
         if look is None:
             return
-        self._drawn.add(actor.id)
         mesh = model_mesh(look)
         body = mesh3d(mesh, np.full((len(mesh.vertices), 3), COLOR, np.uint8))
         archetypes: list[rr.AsComponents] = [body, rr.Mesh3D.from_fields(albedo_factor=faded(_OPACITY))]
@@ -126,7 +134,8 @@ class GhostWriter:
 
     def _erase(self, id: int, batch: SceneBatch) -> None:
         self._waiting.pop(id, None)
-        if id in self._drawn:
+        if id in self._begun:
             self.flush()
-            self._drawn.remove(id)
+            del self._begun[id]
+            self._drawn.discard(id)
             self._stream.clear(f"{entities.GHOSTS}/{id}", TimeColumns.of(batch).point(0))
