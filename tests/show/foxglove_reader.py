@@ -28,6 +28,15 @@ def read(path: Path):
     return topics
 
 
+def raw(path: Path, start: int | None = None, stop: int | None = None):
+    """Return the log time in ns and the data of the messages of each topic, from one log time up to another."""
+    topics = defaultdict(list)
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(starting_at=start, ending_before=stop):
+            topics[channel.topic].append((message.log_time, message.data))
+    return dict(topics)
+
+
 def seen(messages, until: float = math.inf):
     """Return the entities that a viewer shows after all messages until some time."""
     entities = {}

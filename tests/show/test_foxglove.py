@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from carla_recap import NotARecording, RecapWarning, open_recording
 from carla_recap.model.records import UE4
@@ -25,13 +24,12 @@ from tests.samples import ROOT, carla_log
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
 
-from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, panels, read, seen, xyz
+from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, panels, raw, read, seen, xyz
 from tests.waiting import PATIENCE
 
 CROSSING = ROOT / "samples" / "crossing.log"
 NODE = ROOT / "tests" / "node"
-REAL = ("carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log")
-HERO, CYCLIST, GONE, FIRST_LIGHT = 100, 105, 103, 20  # of the crossing
+HERO, FIRST_LIGHT = 100, 20  # of the crossing
 
 SCHEMAS = {
     **dict.fromkeys(BODIES, "foxglove.SceneUpdate"),
@@ -56,22 +54,15 @@ def export(source: Path, destination: Path, **options):
 
 
 @pytest.fixture(scope="module")
-def exports(tmp_path_factory):
-    """Return a function that exports the sample or a real recording on first use, and returns the file."""
-    folder = tmp_path_factory.mktemp("foxglove")
-
-    def exported(name):
-        path = folder / f"{name}.mcap"
-        if not path.exists():
-            export(CROSSING if name == "crossing" else carla_log(name), path)
-        return path
-
-    return exported
+def exported(tmp_path_factory):
+    path = tmp_path_factory.mktemp("foxglove") / "crossing.mcap"
+    export(CROSSING, path)
+    return path
 
 
 @pytest.fixture(scope="module")
-def crossing(exports):
-    return read(exports("crossing"))
+def crossing(exported):
+    return read(exported)
 
 
 @pytest.fixture
@@ -90,11 +81,10 @@ def record(tmp_path):
 
 
 @pytest.mark.skipif(not shutil.which("node"), reason="node is not installed")
-@pytest.mark.parametrize("name", ["crossing", *REAL])
-def test_foxgloves_own_libraries_read_an_export(exports, name):
+def test_foxgloves_own_libraries_read_an_export(exported):
     if not (NODE / "node_modules").is_dir():
         pytest.skip("the libraries of the independent reader are not installed: npm ci --prefix tests/node")
-    command = ["node", NODE / "read.mjs", exports(name)]
+    command = ["node", NODE / "read.mjs", exported]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -114,51 +104,22 @@ def test_an_export_is_no_recording(tmp_path):
         open_recording(tmp_path / "export.mcap")
 
 
-@pytest.mark.parametrize("name", ["crossing", REAL[0]])
-def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch, name):
-    source = CROSSING if name == "crossing" else carla_log(name)
-    export(source, tmp_path / "many.mcap", duration=8)
+def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch):
+    export(CROSSING, tmp_path / "many.mcap", duration=8)
     for together in (1, 7):
         monkeypatch.setattr("carla_recap.show.foxglove.topics._TOGETHER", together)
-        export(source, tmp_path / f"{together}.mcap", duration=8)
-        assert _serialized(tmp_path / f"{together}.mcap") == _serialized(tmp_path / "many.mcap")
-
-
-def _serialized(path):
-    with path.open("rb") as file:
-        return [(channel.topic, message.log_time, message.data) for _, channel, message in make_reader(file).iter_messages()]
+        export(CROSSING, tmp_path / f"{together}.mcap", duration=8)
+        assert raw(tmp_path / f"{together}.mcap") == raw(tmp_path / "many.mcap")
 
 
 # --- the scene -----------------------------------------------------------------------------------------------------
 
 
-def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
-    (time,) = [
-        time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"
-    ]
-    assert time == pytest.approx(27.0)
-    assert f"actor {GONE}" in bodies(crossing, 26.9)
-    assert f"actor {GONE}" not in bodies(crossing, 27.0)
-
-
-@pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
+@pytest.mark.parametrize("time", [0.0, 24.7, 53.0])
 def test_seeking_shows_the_same_as_playing(crossing, time):
     for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/scene/ahead"):
         sought = seen([(0, latest(crossing[topic], time))])
         assert sought == seen(crossing[topic], time)
-
-
-@pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
-def test_every_actor_with_a_body_is_shown_in_a_frame_of_its_own(crossing, time):
-    from carla_recap.replay import Player
-
-    with open_recording(CROSSING) as recording:
-        there = {f"actor {id}" for id, actor in Player(recording).at(time).actors.items() if actor.kind != "sensor"}
-    assert bodies(crossing, time).keys() == there
-    told = [[message for at, message in crossing[topic] if at <= time + 1e-6] for topic in ("/tf/actors", "/tf/still")]
-    frames = [transform.child_frame_id for messages in told for message in messages[-1:] for transform in message.transforms]
-    assert len(frames) == len(set(frames))
-    assert there <= set(frames)
 
 
 def test_an_actor_that_stands_still_is_not_repeated(crossing):
@@ -218,39 +179,18 @@ def test_further_actors_of_a_crowd_are_boxes(record, monkeypatch):
     assert [len(entity.cubes) for entity in bodies(topics).values()] == [0, 0, 0, 1, 1]
 
 
-@pytest.mark.parametrize(
-    ("xs", "shown", "known", "framed"),
-    [
-        ([0, 100, math.nan, 300], [True, True, False, True], [0, 1, None, 3], [0, 1, 1, 3]),
-        ([0, 1e9, 9.99e8], [True, False, True], [0, 1e7, 9.99e6], [0, 1e7, 9.99e6]),
-        ([math.nan, 100, 100], [False, True, True], [1, 1], [0, 1, 1]),
-    ],
-    ids=["nan", "ten thousand kilometres away", "still, once it is a number"],
-)
-def test_an_actor_at_no_place_is_not_shown(record, xs, shown, known, framed):
-    topics = record(
-        *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
-    )
-    assert [bool(bodies(topics, n / 10)) for n in range(len(xs))] == shown
-    assert [message.x if message.HasField("x") else None for _, message in topics["/hero"]] == known
-    assert [message.transforms[0].translation.x for _, message in topics["/tf"]] == pytest.approx(framed)
-
-
-@pytest.mark.filterwarnings("ignore:no crossings are found behind:carla_recap.RecapWarning")  # the last time of one
-@pytest.mark.filterwarnings("ignore:.*the clock goes back:carla_recap.RecapWarning")
-@pytest.mark.parametrize(
-    "name", ["times.log", "physics_0910.log", "events.log", "collisions.log", "all_packets.log", "floats.log"]
-)
-def test_odd_recordings_are_exported(tmp_path, name):
+@pytest.mark.parametrize("name", ["collisions.log", "floats.log"])
+def test_odd_recordings_have_finite_numbers(tmp_path, name):
     export(carla_log(name), tmp_path / "export.mcap")
     topics = read(tmp_path / "export.mcap")
     for topic in ("/tf", "/tf/actors", "/tf/still"):
         for _, message in topics[topic]:
             for transform in message.transforms:
                 assert np.isfinite([*xyz(transform.translation), transform.rotation.w]).all()
-    for topic in BODIES:
-        for _, message in topics[topic]:
-            assert all(np.isfinite(corners(entity)).all() for entity in message.entities)
+    assert all(
+        np.isfinite(corners(entity)).all() for topic in BODIES for _, each in topics[topic] for entity in each.entities
+    )
+    assert not any(each.HasField("x") and not math.isfinite(each.x) for _, each in topics["/hero"])
 
 
 def test_a_fast_recording_is_thinned_except_for_the_followed_actor(record):
@@ -272,23 +212,6 @@ def test_a_recording_of_empty_frames_is_exported(record):
 
 
 # --- lights --------------------------------------------------------------------------------------------------------
-
-
-def lamp(entity):
-    (pair,) = [pair.value for pair in entity.metadata if pair.key == "state"]
-    return pair, [round(255 * getattr(entity.spheres[0].color, part)) for part in "rgb"]
-
-
-def test_lamps_have_the_colour_of_their_state(crossing):
-    with open_recording(CROSSING) as recording:
-        states = recording.light_states(FIRST_LIGHT)
-    for time in (0.0, 8.0, 30.0):
-        state = states.state[int(np.argmin(np.abs(states.time - time)))]
-        name, color = lamp(seen(crossing["/scene/signals"], time)[f"actor {FIRST_LIGHT}"])
-        assert name == ("red", "yellow", "green")[state]
-        assert color == [[235, 50, 45], [245, 200, 40], [50, 205, 90]][state]
-        told = latest(crossing["/lights"], time)
-        assert [light.state for light in told.lights if light.id == FIRST_LIGHT] == [state]
 
 
 def test_lights_are_written_when_they_change_and_at_the_end(record):
@@ -334,14 +257,6 @@ def test_the_light_ahead_is_marked(crossing):
     (mark,) = seen(crossing["/scene/ahead"], series.time[red]).values()
     assert (mark.frame_id, mark.texts[0].text) == (f"actor {FIRST_LIGHT}", f"light {FIRST_LIGHT}: red")
     assert seen(crossing["/scene/ahead"], series.time[none]) == {}
-
-
-def test_another_actor_can_be_followed(tmp_path):
-    export(CROSSING, tmp_path / "out.mcap", follow=101, duration=5)
-    topics = read(tmp_path / "out.mcap")
-    assert {message.id for _, message in topics["/hero"]} == {101}
-    view, hero = topics["/tf"][-1][1].transforms
-    assert xyz(view.translation) != pytest.approx(xyz(hero.translation), abs=1)
 
 
 def test_the_log_has_actors_and_each_contact_once(crossing):

@@ -6,11 +6,10 @@ import pytest
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra `foxglove` is not installed")
 
-from mcap.reader import make_reader
-
 from carla_recap import export, open_recording
 from carla_recap.show.foxglove.layouts import hints_of, layout_files, layout_hints
 from tests.sensed import CRASH
+from tests.show.foxglove_reader import raw
 
 
 def test_data_of_sensors_are_kept(sensed_recording, tmp_path):
@@ -18,24 +17,18 @@ def test_data_of_sensors_are_kept(sensed_recording, tmp_path):
         topics = [name for name in recording.reader.further_topics() if name.startswith(("/sensors/", "/tf/sensors"))]
         images = [data for _, data in recording.reader.messages("/sensors/front/image", 11.5, 12.0)]
         export(recording, tmp_path / "out.mcap", to="foxglove", start=11.5, duration=0.49)
-    with (tmp_path / "out.mcap").open("rb") as file:
-        found = [
-            (channel.topic, message.data, schema.name) for schema, channel, message in make_reader(file).iter_messages()
-        ]
-    kept = [(data, name) for topic, data, name in found if topic == "/sensors/front/image"]
+    found = raw(tmp_path / "out.mcap")
     assert len(images) > 5
-    assert kept == [(data, "foxglove.CompressedImage") for data in images]
-    assert {topic for topic, *_ in found} >= {*topics, "/scene/vehicles"}
+    assert [data for _, data in found["/sensors/front/image"]] == images
+    assert set(found) >= {*topics, "/scene/vehicles"}
 
 
 def test_a_part_begins_with_the_latest_message_of_each_topic(sensed_recording, tmp_path):
     with open_recording(sensed_recording) as recording:
         earlier = [data for _, data in recording.reader.messages("/sensors/front/image", 0, 11.52)][-1]
         export(recording, tmp_path / "out.mcap", to="foxglove", start=11.52, duration=0.1)
-    with (tmp_path / "out.mcap").open("rb") as file:
-        found = {channel.topic: message for _, channel, message in make_reader(file).iter_messages(reverse=True)}
-    first = found["/sensors/front/image"]
-    assert (first.data, first.log_time) == (earlier, found["/scene/vehicles"].log_time)
+    found = raw(tmp_path / "out.mcap")
+    assert found["/sensors/front/image"][0] == (found["/scene/vehicles"][0][0], earlier)
 
 
 def test_layouts_beside_the_export_show_the_sensors(sensed_recording, tmp_path):

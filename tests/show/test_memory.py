@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pytest
 
 from carla_recap import Recording, clip, open_recording
 from carla_recap.scene.follow import followed_series
-from tests.replay.scripts import pose, spawn, write
+from tests.replay.scripts import spawn, write
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
 
@@ -26,11 +27,12 @@ PER_FRAME: Final = 1500  # bytes; the poses of all actors are 1,920
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("memory")
+    ids = np.arange(1, ACTORS + 1)
+    places = {"id": ids, "y": np.where(ids == 1, 0.0, 900.0)}
     frames: list[dict[str, Any]] = [
-        {"transforms": [pose(1, 50 * frame), *(pose(id, 1000 * id, 900) for id in range(2, ACTORS + 1))]}
-        for frame in range(LONG)
+        {"transforms": places | {"x": np.where(ids == 1, 50.0 * frame, 1000.0 * ids)}} for frame in range(LONG)
     ]
-    frames[0]["spawned"] = [spawn(id, role_name="hero" * (id == 1)) for id in range(1, ACTORS + 1)]
+    frames[0]["spawned"] = [spawn(id, role_name="hero" * (id == 1)) for id in ids.tolist()]
     whole = write(folder / "whole.mcap", frames, tick=TICK)
     for count in (10, SHORT):
         clip(whole, folder / f"{count}.mcap", start=0, duration=(count - 1) * TICK)

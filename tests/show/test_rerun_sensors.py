@@ -17,15 +17,19 @@ from carla_recap import export_rerun, open_recording
 from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.show.rerun import entities
-from tests.sensed import HEADER, camera
+from tests.samples import drive
+from tests.sensed import HEADER, camera, sensed_crash
 from tests.show.conftest import SENSED
+from tests.show.rerun_reader import Arrangement
+
+START = 11.02  # s, between the first image and the second one
 
 
 @pytest.fixture(scope="module")
 def rrd(sensed_recording, tmp_path_factory):
     path = tmp_path_factory.mktemp("rerun") / "sensed.rrd"
     with open_recording(sensed_recording) as recording:
-        export_rerun(recording, path, start=10.5)
+        export_rerun(recording, path, start=START)
     return path
 
 
@@ -49,22 +53,14 @@ def stored(path, topic):
 def test_each_image_is_shown_when_it_was_taken_with_its_frame(rrd, sensed_recording):
     images, times, frames = rows(rrd, entities.sensor("front", "image"), "EncodedImage:blob")
     recorded = [elapsed for elapsed, _ in stored(sensed_recording, "/sensors/front/image")]
-    assert times == [round(elapsed * 1e9) for elapsed in recorded]
+    assert recorded[0] < START
+    assert times == [round(max(elapsed, START) * 1e9) for elapsed in recorded]
     assert len(images) == len(recorded) > 20
     with open_recording(sensed_recording) as recording:
         expected = {round(frame.elapsed * 1e9): frame.id for frame in recording.frames(SENSED[0])}
-    assert dict(zip(times, frames, strict=True)) == {time: expected[time] for time in times}
+    assert frames[1:] == [expected[time] for time in times[1:]]
     picture = Image.open(io.BytesIO(bytes(images[0][0])))
     assert (picture.format, picture.size) == ("JPEG", (160, 120))
-
-
-def test_a_part_begins_with_what_was_measured_last(sensed_recording, tmp_path):
-    with open_recording(sensed_recording) as recording:
-        export_rerun(recording, tmp_path / "part.rrd", start=11.52, duration=0.1)
-    earlier = [data for elapsed, data in stored(sensed_recording, "/sensors/front/image") if elapsed < 11.52][-1]
-    images, times, _ = rows(tmp_path / "part.rrd", entities.sensor("front", "image"), "EncodedImage:blob")
-    assert times[0] == 11_520_000_000
-    assert bytes(images[0][0]) in earlier
 
 
 def test_sensors_move_with_the_actor(rrd):
@@ -74,7 +70,7 @@ def test_sensors_move_with_the_actor(rrd):
     for place, time in zip(places, times, strict=True):
         if time in car_times:
             offset = np.array(place[0]) - cars[car_times.index(time)][0]
-            assert np.hypot(*offset[:2]) < 0.2
+            assert np.hypot(*offset[:2]) < 0.3  # at the start, the pose is that before it
             heights.append(offset[2])
     assert len(heights) > 20
     assert heights == pytest.approx([2.5] * len(heights), abs=0.2)
@@ -109,20 +105,13 @@ def test_positions_on_earth_are_not_shown_since_the_viewer_would_fetch_a_map(rrd
     assert not [path for path in paths if "gnss" in path and "fix" in path]
 
 
-def test_the_viewer_shows_each_camera_beside_the_scene(rrd, crossing_rrd):
-    from tests.screenshots import ScreenshotTaker
-
-    with ScreenshotTaker(rrd, (1000, 700)) as screenshots:
-        screenshots.take(12.0)
-        views = screenshots.state.views
-    assert not [report for view in views for report in view.reports]
-    assert [view.view_class for view in views].count("2D") == 1 + 5
+def test_each_camera_has_a_view(rrd):
+    views = [part.get("ViewBlueprint:display_name") for part in Arrangement(rrd).parts.values()]
+    assert all([id] in views for id in ("front", "back", "depth", "tags", "ids"))
 
 
 def test_videos_are_passed_on_as_they_are(tmp_path):
     pytest.importorskip("av", reason="the extra `video` is not installed")
-    from tests.sensed import sensed_crash
-
     sensors = [{"type": "sensor.camera.rgb", "id": "front", "x": 1.5, "y": 0, "z": 1.6, "width": 96, "height": 64}]
     try:
         path = sensed_crash(tmp_path / "video.mcap", sensors, 11.0, 11.5, video=True)
@@ -147,8 +136,6 @@ def test_without_the_extra_the_sensors_are_left_out_with_a_warning(sensed_record
 
 
 def test_a_damaged_message_is_an_error_that_names_topic_and_time(tmp_path):
-    from tests.samples import drive
-
     with McapWriter(tmp_path / "damaged.mcap", HEADER) as writer:
         writer.add_topic(camera())
         for frame in drive(1.0):

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 import carla_recap
 from carla_recap import RecapError, RecapWarning, export_sensed, open_recording
@@ -35,18 +33,15 @@ from tests.sensors.cars import (
     RAYS,
     RIGHT,
     ROOF,
-    SPEED,
     STEP,
     car_pose,
     drive,
     spawn,
 )
-from tests.show.foxglove_reader import panels
+from tests.show.foxglove_reader import panels, raw, read
 from tests.waiting import PATIENCE
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
-
-from mcap_protobuf.decoder import DecoderFactory
 
 from carla_recap.sensors.messages import SensorMessages
 from tests.samples import ROOT
@@ -89,25 +84,6 @@ SCHEMAS = {
 def export(source: Path, destination: Path, rig: SensorRig = MOTION, **options: Any) -> Any:
     with open_recording(source) as recording:
         return export_sensed(recording, destination, rig, **options)
-
-
-def read(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Return the log time and the message of all messages, by topic."""
-    topics = defaultdict(list)
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        for _, channel, message, decoded in reader.iter_decoded_messages():
-            topics[channel.topic].append((message.log_time, decoded))
-    return topics
-
-
-def raw_messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """Return the log time and the data of all messages, by topic."""
-    topics = defaultdict(list)
-    with path.open("rb") as file:
-        for _, channel, message in make_reader(file).iter_messages():
-            topics[channel.topic].append((message.log_time, message.data))
-    return dict(topics)
 
 
 @pytest.fixture(scope="module")
@@ -171,14 +147,13 @@ def test_answers_about_a_crash_are_those_of_its_recording(tmp_path: Path) -> Non
 
 
 @pytest.mark.filterwarnings("ignore:.*the map Town01 is not found:carla_recap.RecapWarning")
-@pytest.mark.parametrize("start", [0.4, 2.0])
-def test_a_walker_that_was_knocked_down_before_lies(tmp_path: Path, start: float) -> None:
+def test_a_walker_that_was_knocked_down_before_lies(tmp_path: Path) -> None:
     """It falls from 0.2 s to 0.8 s, although its recorded pose stays upright."""
     pytest.importorskip("embreex", reason="embreex is not installed")
     source = write(tmp_path / "accident.log", accident(40), tick=0.1)
     rays = {"range": 50.0, "channels": 64, "points_per_second": 1_000_000, "upper_fov": 20.0, "lower_fov": -80.0}
     rig = SensorRig.of([{"type": "sensor.lidar.ray_cast_semantic", "id": "lidar", "x": 0.0, "y": 0.0, "z": 2.2, **rays}])
-    part = {"start": start, "duration": 0.5}
+    part = {"start": 0.4, "duration": 0.5}
     export(source, tmp_path / "sensed.mcap", rig, actor=CAR, **part)
     with open_recording(source) as recording:
         expected = [walker_of(frame.samples["lidar"].data) for frame in sense(recording, rig, actor=CAR, **part)]
@@ -210,7 +185,7 @@ def test_the_scene_is_that_of_an_export_to_foxglove(source: Path, path: Path, tm
     with open_recording(source) as recording:
         roads = load_map_of(recording, None, carla_recap.load_map, lambda corridors: corridors)
         export_foxglove(recording, tmp_path / "scene.mcap", follow=HERO, road_map=roads)
-    expected, found = raw_messages(tmp_path / "scene.mcap"), raw_messages(path)
+    expected, found = raw(tmp_path / "scene.mcap"), raw(path)
     assert "/scene/vehicles" in expected
     assert {name: found[name] for name in expected} == expected
 
@@ -219,47 +194,21 @@ def test_log_times_are_those_of_the_frames(topics: Any) -> None:
     times = [time for time, _ in topics["/frames"]]
     for topic in SCHEMAS:
         assert [time for time, _ in topics[topic]] == times
+    begin = topics["/sensors/front/image"][0][1].timestamp.ToNanoseconds()
     for time, image in topics["/sensors/front/image"]:
-        assert image.timestamp.ToNanoseconds() == time
+        assert image.timestamp.ToNanoseconds() - begin == round(time * 1e9)
 
 
 # --- geometry ------------------------------------------------------------------------------------------------------
 
 
-def raw(message: Any, dtype: str) -> np.ndarray:
-    """Return the pixels of an image."""
-    return np.frombuffer(message.data, dtype).reshape(message.height, message.width)
-
-
 def test_the_messages_are_those_of_what_is_measured(source: Path, path: Path) -> None:
-    found = raw_messages(path)
+    found = raw(path)
     with open_recording(source) as recording:
         maker = SensorMessages(RIG, recording.header)
         for index, frame in enumerate(sense(recording, RIG, quality="low")):
             for message in maker.of(frame.samples.values()):
                 assert found[message.topic][index][1] == message.data, message.topic
-
-
-def test_the_ids_and_tags_of_images_are_those_of_the_actors(topics: Any) -> None:
-    ((_, table),) = topics["/sensors/actors"]
-    names = {entry.id: (entry.type_id, entry.kind, entry.role_name) for entry in table.actors}
-    assert names[AHEAD] == ("vehicle.ford.ambulance", "vehicle", "autopilot")
-    assert names[HERO] == ("vehicle.tesla.model3", "vehicle", "hero")
-    found = raw(topics["/sensors/ids/instance"][0][1], "<u4") & 0xFF_FFFF
-    assert set(np.unique(found).tolist()) <= {0, *names}
-    tags = raw(topics["/sensors/tags/semantic"][0][1], "u1")
-    assert len(np.unique(tags[found == LEFT])) == 1
-
-
-def test_a_video_is_decoded_to_as_many_images(driver: None, source: Path, tmp_path: Path) -> None:
-    av = pytest.importorskip("av", reason="the extra video is not installed")
-    rig = SensorRig.of([{"type": "sensor.camera.rgb", "id": "front", **CAMERA, "width": 320, "height": 240}])
-    export(source, tmp_path / "video.mcap", rig, video=True, quality="low")
-    messages = read(tmp_path / "video.mcap")["/sensors/front/video"]
-    decoder = av.CodecContext.create("h264", "r")
-    images = [image for _, message in messages for image in decoder.decode(av.Packet(message.data))]
-    images += decoder.decode(None)
-    assert [(image.width, image.height) for image in images] == [(320, 240)] * FRAMES
 
 
 # --- a part, other rates, other actors ---------------------------------------------------------------------------------
@@ -274,14 +223,6 @@ def test_a_part_is_that_of_a_clip(tmp_path: Path) -> None:
         assert contents(other) == contents(one)
         seconds = [message.elapsed for message in other.sensor_messages("imu")]
     assert seconds == pytest.approx(np.arange(11) / 10)
-
-
-def test_another_actor_carries_the_rig(source: Path, tmp_path: Path) -> None:
-    export(source, tmp_path / "sensed.mcap", actor=AHEAD)
-    transforms = [message for _, message in read(tmp_path / "sensed.mcap")["/tf/sensors"]]
-    xs = [message.transforms[0].translation for message in transforms]
-    moved = np.hypot(xs[-1].x - xs[0].x, xs[-1].y - xs[0].y)
-    assert moved == pytest.approx(SPEED * STEP * (FRAMES - 1), abs=0.01)
 
 
 def test_an_actor_that_is_absent_is_said(tmp_path: Path) -> None:
@@ -302,28 +243,17 @@ def test_an_actor_that_is_absent_is_said(tmp_path: Path) -> None:
     assert not (tmp_path / "later.mcap").exists()
 
 
-def test_a_clip_of_it_has_the_lights_from_its_start(path: Path, tmp_path: Path) -> None:
-    carla_recap.clip(path, tmp_path / "clip.mcap", start=1.5 * STEP)
-    with open_recording(tmp_path / "clip.mcap") as recording:
-        topics = recording.reader.further_topics()
-    assert [topics[name].first for name in ("/lights", "/map")] == [0.0, 0.0]
-
-
 def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_path: Path) -> None:
     export(source, tmp_path / "one.mcap")
-    with pytest.raises(RecapError, match="has data of a sensor 'imu' already"):
-        export(tmp_path / "one.mcap", tmp_path / "two.mcap")
+    for name, message in (("two.mcap", "has data of a sensor 'imu' already"), ("two.log", "does not end in .mcap")):
+        with pytest.raises(RecapError, match=message):
+            export(tmp_path / "one.mcap", tmp_path / name)
     export(tmp_path / "one.mcap", tmp_path / "two.mcap", SensorRig.of([{"type": "sensor.other.imu", "id": "second"}]))
     with open_recording(tmp_path / "two.mcap") as recording:
         assert {sensor.id: sensor.count for sensor in recording.sensors} == {"imu": 3, "speed": 3, "second": 3}
-    one, two = raw_messages(tmp_path / "one.mcap"), raw_messages(tmp_path / "two.mcap")
+    one, two = raw(tmp_path / "one.mcap"), raw(tmp_path / "two.mcap")
     assert two["/scene/vehicles"] == one["/scene/vehicles"]
     assert len(two["/tf/sensors"]) == 2 * FRAMES
-
-
-def test_the_destination_is_an_mcap_file(source: Path, tmp_path: Path) -> None:
-    with pytest.raises(RecapError, match=r"out\.log' does not end in \.mcap, the format of recordings with sensors"):
-        export(source, tmp_path / "out.log")
 
 
 # --- layouts -----------------------------------------------------------------------------------------------------------
@@ -350,7 +280,7 @@ def test_layouts_have_a_panel_for_each_image_and_the_points(tmp_path: Path) -> N
     assert len(panels(both[1])) == len(both[1]["configById"])
 
 
-@pytest.mark.parametrize("count", [0, 1, 4, 5, 100])
+@pytest.mark.parametrize("count", [0, 5, 100])
 def test_layouts_of_any_number_of_cameras_are_whole(tmp_path: Path, count: int) -> None:
     cameras = [{"type": "sensor.camera.depth", "id": f"c{n}", **CAMERA} for n in range(count)]
     rig = SensorRig.of(cameras) if cameras else MOTION
