@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import random
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from carla_recap import open_recording
 from carla_recap.formats.base import Topic
@@ -48,7 +51,30 @@ def sensed(path: Path, *, live: bool = False, seconds: float = 10.0, size: int =
     return path
 
 
-def sensed_crash(path: Path, sensors: list[dict[str, Any]], start: float = 11.0, stop: float = 13.0, **options: Any) -> Path:
+def filmed(path: Path, cameras: Mapping[str, tuple[float, Mapping[float, Any]]], **options: Any) -> Path:
+    """Write a recording of 6 s with images of cameras: of each the yaw in degrees, and colours or arrays by their times."""
+    from carla_recap.sensors import SensorRig
+    from carla_recap.sensors.messages import SensorMessages
+    from carla_recap.sensors.sensing import Sample
+
+    place = {"x": 0.0, "y": 0.0, "z": 0.0, "width": 640, "height": 320}
+    specs = [{"type": "sensor.camera.rgb", "id": id, "yaw": yaw, **place} for id, (yaw, _) in cameras.items()]
+    rig = SensorRig.of(specs)
+    with McapWriter(path, HEADER) as writer:
+        messages = SensorMessages(rig, HEADER, **options)
+        for topic in messages.topics:
+            writer.add_topic(topic)
+        for frame in drive(6.0, size=2):
+            writer.write(frame)
+        for id, (_, shown) in cameras.items():
+            for time, color in shown.items():
+                image = np.broadcast_to(np.asarray(color, np.uint8), (320, 640, 3)).copy()
+                for message in messages.of([Sample(rig[id], time, np.zeros(6), image)]):
+                    writer.write_message(*message)
+    return path
+
+
+def sensed_crash(path: Path, sensors: list[dict[str, Any]], start: float = 11.0, stop: float = 13.0) -> Path:
     """Some seconds around the crash of the sample, with what sensors on the hero would have measured.
 
     Args:
@@ -56,7 +82,6 @@ def sensed_crash(path: Path, sensors: list[dict[str, Any]], start: float = 11.0,
         sensors: The rig.
         start: The elapsed time of the first measurements, in s; the frames are those from the beginning on.
         stop: The elapsed time of the end, in s.
-        options: Those of `SensorMessages`.
     """
     from carla_recap.sensors import SensorRig
     from carla_recap.sensors.messages import SensorMessages
@@ -64,7 +89,7 @@ def sensed_crash(path: Path, sensors: list[dict[str, Any]], start: float = 11.0,
 
     rig = SensorRig.of(sensors)
     with open_recording(CRASH) as recording, McapWriter(path, recording.header) as writer:
-        messages = SensorMessages(rig, recording.header, **options)
+        messages = SensorMessages(rig, recording.header)
         for topic in messages.topics:
             writer.add_topic(topic)
         for frame in recording.frames(stop=stop + 0.01):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import subprocess
@@ -31,12 +32,12 @@ from carla_recap import (
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
 from carla_recap.util.files import AtomicFile
-from tests.samples import ROOT, names_in
+from tests.replay.scripts import pose, spawn, write
+from tests.samples import CROSSING, ROOT, names_in
 from tests.show.conftest import limited
 from tests.show.page.conftest import WITHOUT_ROADS
 from tests.waiting import PATIENCE
 
-CROSSING = ROOT / "samples" / "crossing.log"
 PACKAGES = {
     "rerun": "rerun",
     "foxglove": "foxglove_schemas_protobuf",
@@ -135,6 +136,20 @@ def test_a_place_that_cannot_be_written(
             export(recording, tmp_path / place, to=form.name, force=True, **part)
     assert names_in(tmp_path) == ["file", f"folder{form.suffix}"]
     assert (tmp_path / "file").read_text() == "mine"
+
+
+@every_format
+@pytest.mark.filterwarnings("ignore::carla_recap.RecapWarning")
+def test_odd_things_are_exported(tmp_path: Path, form: ExportFormat, part: dict[str, Any]) -> None:
+    """Poses that are none, names that are not UTF-8, and an id that is used again."""
+    xs = (0.0, math.nan, 3e38, math.inf, 100.0, 100.0)
+    frames: list[dict[str, Any]] = [{"transforms": [pose(1, 100 * n), pose(2, x, 500, yaw=x)]} for n, x in enumerate(xs)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "vehicle.\udcff", role_name="\udc80")]
+    frames[4] |= {"destroyed": [2], "spawned": [spawn(2, "walker.\udcff")]}
+    part |= {"start": 0, "duration": 0} if "start" in part else {}
+    part |= {"actor": 1} if form.dataset else {}
+    with open_recording(write(tmp_path / "odd.log", frames, tick=0.1)) as odd:
+        assert export(odd, tmp_path / f"out{form.suffix}", to=form.name, **part).frames == len(frames)
 
 
 @every_file

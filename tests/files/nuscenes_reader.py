@@ -42,19 +42,7 @@ def main(folder: str, version: str, camera: str, lidar: str, radar: str) -> None
             }
         samples.append({"image": path, "boxes": list(found.values()), "echoes": echoes.points.shape[1]})
     scenes = {split: get_scenes_of_custom_split(split, reader) for split in ("train", "val", "test")}
-    chains = []
-    for scene in reader.scene:
-        token, count = scene["first_sample_token"], 0
-        while token:
-            last, token, count = token, reader.get("sample", token)["next"], count + 1
-        chains.append([scene["name"], count == scene["nbr_samples"] and last == scene["last_sample_token"]])
-    instances = []
-    for instance in reader.instance:
-        token, count = instance["first_annotation_token"], 0
-        while token:
-            token, count = reader.get("sample_annotation", token)["next"], count + 1
-        instances.append(count <= instance["nbr_annotations"] and count > 0)
-    print(json.dumps({"samples": samples, "scenes": scenes, "chains": chains, "instances": instances}))
+    print(json.dumps({"samples": samples, "scenes": scenes}))
 
 
 def to_world(reader: NuScenes, token: str) -> np.ndarray:

@@ -70,6 +70,8 @@ def test_positions_are_the_centres_of_boxes_in_right_handed_metres(tmp_path, own
     first = messages(tmp_path / "own.mcap")[0][1]
     car, walker = first.moving_object
     assert (car.id.value, walker.id.value, first.host_vehicle_id.value) == (7, 8, 7)
+    assert (car.type, walker.type, car.vehicle_classification.role) == (2, 3, 3)
+    assert not walker.HasField("vehicle_classification")
     # A yaw of -90 in CARLA's axes turns left. The pitch of 10 raises the front there, and is negative here.
     forward = np.array([0.0, math.cos(math.radians(10)), math.sin(math.radians(10))])
     centre = np.array([0.0, 2.0, 0.5]) + forward
@@ -79,14 +81,6 @@ def test_positions_are_the_centres_of_boxes_in_right_handed_metres(tmp_path, own
         (0, -math.radians(10), math.pi / 2),
     )
     assert np.allclose((car.base.dimension.length, car.base.dimension.width, car.base.dimension.height), (6, 2, 2.4))
-
-
-def test_objects_have_their_types(tmp_path, own):
-    export(own, tmp_path / "own.mcap")
-    car, walker = messages(tmp_path / "own.mcap")[0][1].moving_object
-    assert (car.type, walker.type) == (2, 3)
-    assert car.vehicle_classification.role == 3
-    assert not walker.HasField("vehicle_classification")
 
 
 def test_velocities_that_were_not_recorded_are_derived(tmp_path, own):

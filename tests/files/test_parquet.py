@@ -9,8 +9,8 @@ import pytest
 from carla_recap import RecapError, create_recording, export_parquet, open_recording
 from carla_recap.files import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
-from tests.cli.command import CROSSING
-from tests.samples import names_in
+from tests.replay.scripts import pose
+from tests.samples import CROSSING, names_in
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 from pyarrow import parquet
@@ -67,28 +67,20 @@ def test_the_files_of_queries_contain_their_results(exported: Path) -> None:
             assert (row["bounding_box"] is None) == (actor.bounding_box is None)
 
 
-@pytest.mark.parametrize(("limit", "value"), [("ROWS", 1000), ("MEMORY", 30_000)])
+@pytest.mark.parametrize(("limit", "value"), [("ROWS", 1000), ("MEMORY", 10_000)])
 def test_rows_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int) -> None:
     monkeypatch.setattr(exporter, limit, value)
     monkeypatch.setattr(exporter, "_PIECE", 10_000)
-    with open_recording(CROSSING) as recording:
-        export_parquet(recording, tmp_path / "out")
-        file = parquet.ParquetFile(tmp_path / "out" / "transforms.parquet")
-        assert file.num_row_groups > 2
-        assert file.read().equals(recording.table("transforms").to_arrow())
-
-
-def test_records_that_vary_in_size_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exporter, "MEMORY", 10_000)
-    monkeypatch.setattr(exporter, "_PIECE", 10_000)
     with create_recording(tmp_path / "walk.log", map_name="T") as recorder:
         for n in range(50):
-            recorder.add_frame(n / 20, walker_bones=[Bones(7, [Bone(f"b{k}", n, k, 0, 0, 0, 0) for k in range(20)])])
+            bones = [Bones(7, [Bone(f"b{k}", n, k, 0, 0, 0, 0) for k in range(20)])]  # they vary in size
+            recorder.add_frame(n / 20, walker_bones=bones, transforms=[pose(id, n) for id in range(100)])
     with open_recording(tmp_path / "walk.log") as recording:
         export_parquet(recording, tmp_path / "out")
-        file = parquet.ParquetFile(tmp_path / "out" / "walker_bones.parquet")
-        assert file.num_row_groups > 5
-        assert file.read().to_pylist() == recording.table("walker_bones").to_arrow().to_pylist()
+        for name in ("transforms", *(["walker_bones"] if limit == "MEMORY" else [])):
+            file = parquet.ParquetFile(tmp_path / "out" / f"{name}.parquet")
+            assert file.num_row_groups > 2
+            assert file.read().to_pylist() == recording.table(name).to_arrow().to_pylist()
 
 
 def test_an_empty_recording_has_empty_files_of_queries(tmp_path: Path) -> None:
@@ -101,16 +93,10 @@ def test_an_empty_recording_has_empty_files_of_queries(tmp_path: Path) -> None:
     assert (table.num_rows, str(table.schema.field("attributes").type).partition(" (")[0]) == (0, "map<string, string")
 
 
-@pytest.mark.parametrize("ask", ["table", "trajectories", "actors", "collisions"])
+@pytest.mark.parametrize("ask", ["table", "actors"])
 def test_tables_of_all_kinds_become_parquet_files(tmp_path: Path, ask: str) -> None:
     with open_recording(CROSSING) as recording:
-        tables = {
-            "table": lambda: recording.table("transforms"),
-            "trajectories": recording.trajectories,
-            "actors": lambda: recording.actors,
-            "collisions": recording.collisions,
-        }
-        answer = tables[ask]()
+        answer = recording.actors if ask == "actors" else recording.table("transforms")
         answer.to_parquet(tmp_path / "out.parquet")
         read = parquet.read_table(tmp_path / "out.parquet")
         check_equal(read, answer.to_arrow())

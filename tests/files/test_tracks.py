@@ -7,7 +7,7 @@ import csv
 import numpy as np
 import pytest
 
-from carla_recap import RecapWarning, Spawn, create_recording, export_csv, open_recording
+from carla_recap import export_csv, open_recording
 from tests.samples import CRASH
 
 
@@ -27,22 +27,3 @@ def test_a_row_has_pose_velocity_and_size(tmp_path):
     for name in ("time", "x", "y", "z", "yaw", "vx", "vy"):
         assert np.allclose([float(row[name]) for row in found], getattr(path, name))
     assert float(found[0]["length"]) == pytest.approx(2 * hero.bounding_box.extent_x)
-
-
-def test_velocities_that_were_not_recorded_are_empty(tmp_path):
-    with create_recording(tmp_path / "own.log", map_name="") as recorder:
-        recorder.add_frame(0.0, spawned=[Spawn(7, 1, type_id="vehicle.a")], transforms=[(7, 0, 0, 0, 0, 0, 0)])
-    with open_recording(tmp_path / "own.log") as recording:
-        export_csv(recording, tmp_path / "own.csv")
-    assert rows(tmp_path / "own.csv")[0]["vx"] == ""
-
-
-def test_names_are_printable_and_poses_finite(tmp_path):
-    with create_recording(tmp_path / "own.log", map_name="") as recorder:
-        poses = [(7, 0, 0, 0, 0, 0, 0), (8, float("nan"), 0, 0, 0, 0, 0)]
-        spawns = [Spawn(7, 1, type_id='vehicle.\r\n",'), Spawn(8, 1, type_id="vehicle.b")]
-        recorder.add_frame(0.0, spawned=spawns, transforms=poses)
-    with open_recording(tmp_path / "own.log") as recording, pytest.warns(RecapWarning, match="1 of 2 poses are not finite"):
-        export_csv(recording, tmp_path / "own.csv")
-    (row,) = rows(tmp_path / "own.csv")
-    assert (row["id"], row["type_id"].isprintable()) == ("7", True)

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
@@ -22,7 +19,7 @@ from carla_recap.rendering.camera import DrawnView
 from carla_recap.rendering.process import RenderProcess, RenderProcessNotStarted
 from carla_recap.util.child import ChildEnded
 from tests.rendering.shapes import ALL, MODELS, PLANE, RGB, boxes, camera, create
-from tests.waiting import PATIENCE, is_running, wait_until
+from tests.waiting import PATIENCE, wait_until
 
 BOXES = boxes((10, 0, 2), (15, 4, 1))
 
@@ -66,13 +63,6 @@ def test_pictures_of_several_sizes_come_in_their_order(process: RenderProcess) -
     assert order == [width for width, _ in sizes]
 
 
-def test_images_stay_as_they_are_when_others_are_drawn(process: RenderProcess) -> None:
-    first = process.draw(DrawnView(camera()), BOXES)[RGB]
-    copy = first.copy()
-    process.draw(DrawnView(camera((0, 0, 9), pitch=-40)), None)
-    assert (first == copy).all()
-
-
 def test_what_cannot_be_drawn_is_an_error_of_that_picture_alone(process: RenderProcess) -> None:
     with pytest.raises(RecapError, match="100000 x 10 pixels"):
         process.draw(DrawnView(replace(camera(), width=100_000, height=10)))
@@ -82,41 +72,12 @@ def test_what_cannot_be_drawn_is_an_error_of_that_picture_alone(process: RenderP
     assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
 
 
-def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: RenderProcess) -> None:
-    process.draw(DrawnView(camera()), BOXES)
-    pid = process.pid
-    assert pid is not None
-    os.kill(pid, signal.SIGKILL)
-    with pytest.raises(ChildEnded, match="exit code -9") as raised:
-        process.draw(DrawnView(camera()), BOXES)
-    assert "\n" not in str(raised.value)
-    assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
-    assert process.pid not in (pid, None)
-
-
-def submit_two(process: RenderProcess) -> list[Future[Any]]:
-    """Submit two pictures to a process that is stopped, and return once both are sent."""
-    futures = [process.submit([DrawnView(replace(camera(), width=width))], BOXES) for width in (32, 64)]
-    wait_until(lambda: all(future.running() for future in futures))
-    return futures
-
-
-def test_a_picture_is_sent_while_another_one_is_drawn(process: RenderProcess) -> None:
-    process.draw(DrawnView(camera()), BOXES)
-    assert process.pid is not None
-    os.kill(process.pid, signal.SIGSTOP)
-    try:
-        futures = submit_two(process)
-    finally:
-        os.kill(process.pid, signal.SIGCONT)
-    assert [future.result(PATIENCE)[0][RGB].shape[1] for future in futures] == [32, 64]
-
-
 def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies(driver: None) -> None:
     with RenderProcess(PLANE, models=MODELS) as process:
         assert process.pid is not None
         os.kill(process.pid, signal.SIGSTOP)
-        first, second = submit_two(process)
+        first, second = (process.submit([DrawnView(replace(camera(), width=width))], BOXES) for width in (32, 64))
+        wait_until(lambda: first.running() and second.running())
         os.kill(process.pid, signal.SIGKILL)
         with pytest.raises(ChildEnded, match="exit code -9"):
             first.result(PATIENCE)
@@ -157,24 +118,6 @@ def test_closing_ends_the_process_and_cancels_what_is_not_drawn(driver: None) ->
         os.kill(pid, 0)
     with pytest.raises(RecapError, match="closed"):
         process.draw(DrawnView(camera()))
-
-
-PARENT = """
-import sys, time
-from carla_recap.rendering.process import RenderProcess
-process = RenderProcess(None, models=())
-print(process.pid, flush=True)
-time.sleep(600)
-"""
-
-
-def test_the_process_ends_with_its_parent(driver: None) -> None:
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, env=dict(os.environ))
-    assert parent.stdout is not None
-    with parent:
-        pid = int(parent.stdout.readline())
-        parent.kill()
-    wait_until(lambda: not is_running(pid))
 
 
 def test_missing_moderngl_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

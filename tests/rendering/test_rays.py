@@ -91,7 +91,3 @@ def test_actors_without_size_or_with_impossible_poses_are_no_harm() -> None:
     odd = boxes((np.nan, 0, 0), (10, 0, 0), (20, 0, 0), half=[(1, 1, 1), (0, 0, 0), (1, 1, 1)], ids=[1, 2, 3])
     odd.rotations[2] = np.inf
     assert not set(scene.cast(np.zeros(3), np.array([AHEAD]), 40.0, odd).actor.tolist()) - {2}
-
-
-def test_no_rays_hit_nothing() -> None:
-    assert not len(RayScene([GROUND], models(cube())).cast(np.zeros(3), np.empty((0, 3)), 40.0, boxes()).ray)

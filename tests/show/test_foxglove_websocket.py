@@ -19,7 +19,7 @@ from typing import Any, Final
 import pytest
 from click.testing import CliRunner
 
-from carla_recap import MissingExtra, RecapError, export, open_recording
+from carla_recap import MissingExtra, RecapError, clip, export, open_recording
 from carla_recap.cli.capture import watch
 from carla_recap.cli.export import view
 from tests.cli.command import COMMAND, ENVIRONMENT, error
@@ -122,12 +122,13 @@ def test_a_viewer_gets_the_latest_messages_and_the_state(served: str, viewer: Vi
 
 
 def test_a_walker_that_has_fallen_long_ago_lies_where_it_is_sought(tmp_path: Path) -> None:
-    path = tmp_path / "crash.mcap"
-    with open_recording(CRASH) as recording:
+    crash, path = tmp_path / "crash.mcap", tmp_path / "shown.mcap"
+    clip(CRASH, crash, start=10.0, duration=15.0)
+    with open_recording(crash) as recording:
         export(recording, path, to="foxglove")
         (hit, *_) = (row for row in recording.collisions() if "w" in (row.letter1, row.letter2))
-    with viewing(CRASH) as (address, _), connected(address) as viewer:
-        for second in (hit.elapsed + 5.5, hit.elapsed + 20):  # with the mark of the collision, and without
+    with viewing(crash) as (address, _), connected(address) as viewer:
+        for second in (hit.elapsed + 5.5, 14.0):  # with the mark of the collision, and without
             compare(viewer, path, second)
 
 

@@ -78,14 +78,6 @@ def test_captions_and_marks_of_a_video_have_them(
     assert {caption.text for shot in film.shots() for caption in shot.readings.captions} == captions
 
 
-def test_without_a_map_they_are_left_out(recording: Recording) -> None:
-    player = Player(recording)
-    played = PlayedIncidents(player)
-    for _ in player.batches():
-        pass
-    assert list(played.found()) == []
-
-
 @pytest.mark.parametrize("opendrive", ["", "no XML", "<OpenDRIVE/>"])
 def test_maps_without_lanes_have_no_network(opendrive: str) -> None:
     assert road_network_of_map(road_map(opendrive)) is None

@@ -15,7 +15,7 @@ from carla_recap.replay import Player
 from carla_recap.rules.rule_sets import make_rules
 from carla_recap.scene import opacity, style
 from carla_recap.scene.captions import caption_of
-from carla_recap.scene.lamps import lamps_of_vehicles
+from carla_recap.scene.lamps import lamps_of_vehicles, state_of_lamps
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import export_foxglove
@@ -36,6 +36,7 @@ from tests.show.rerun_reader import Rrd
 
 MOMENTS = 10
 LAMPS = [material for material, finish in MATERIALS.items() if finish.glow is not None and "LAMP" not in material.name]
+SIGNALS = {color: name for name, color in style.LIGHTS[:3]}
 PATIENCE = 2.0  # s after which a long stop has a caption
 HELD = 1.4  # s for which Rerun keeps an actor see-through, at most
 LYING = 1.0  # m: a body that is not higher lies
@@ -49,6 +50,7 @@ class Seen:
         places: The centres of their bodies in m and right-handed axes; in the page, where they are, without a height.
         yaws: Their headings in degrees.
         lamps: The colours of the lit lamps of those vehicles that have any lit.
+        signals: The colours of those traffic lights that have any lit.
         lying: The walkers that lie.
         marks: Where collisions are marked.
         speed: The speed of the followed actor in m/s; None if it is unknown.
@@ -62,6 +64,7 @@ class Seen:
     places: dict[int, tuple[float, ...]] = field(default_factory=dict)
     yaws: dict[int, float] = field(default_factory=dict)
     lamps: dict[int, set[tuple[int, ...]]] = field(default_factory=dict)
+    signals: dict[int, str] = field(default_factory=dict)
     lying: set[int] = field(default_factory=set)
     marks: list[tuple[float, ...]] = field(default_factory=list)
     speed: float | None = None
@@ -71,29 +74,21 @@ class Seen:
     surely_see_through: set[int] = field(default_factory=set)
 
 
-def parked_below() -> list[dict]:
-    """Return frames in which a car is parked 499 m below the road beside the hero, and after 2 s is set on it and brakes."""
-    frames: list[dict] = []
-    for number in range(60):
-        below, braking = number < 20, number > 40
-        poses = [pose(1, 50 * number), pose(2, 3000, 350, -49900 if below else 0)]
-        controls = [(1, 0.0, 0.5, 0.0, 0, 1), (2, 0.0, 0.0, 0.7 * (below or braking), 0, 1)]
-        frames.append({"transforms": poses, "vehicle_controls": controls, "light_states": [light(9, 2)]})
-    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2), spawn(9, "traffic.traffic_light", x=4000)]
-    return frames
-
-
 def nowhere() -> list[dict]:
-    """Return frames of two cars beside the hero, which brake, and whose poses are unknown: for 2 s, and at either end."""
+    """Return frames of cars beside the hero that brake: two whose poses are unknown, for 2 s and at either end.
+
+    Another one is parked 499 m below the road for 2 s.
+    """
     frames: list[dict] = []
     for number in range(60):
         known = [20 <= number < 40, not 20 <= number < 40]
         cars = [
             pose(id, 3000, 350 * id) if is_known else pose(id, math.nan) for id, is_known in zip((2, 3), known, strict=True)
         ]
-        controls = [(1, 0.0, 0.5, 0.0, 0, 1), *((id, 0.0, 0.0, 0.7, 0, 1) for id in (2, 3))]
-        frames.append({"transforms": [pose(1, 50 * number), *cars], "vehicle_controls": controls})
-    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2), spawn(3)]
+        poses = [pose(1, 50 * number), *cars, pose(4, 3000, 350, -49900 if number < 20 else 0)]
+        controls = [(1, 0.0, 0.5, 0.0, 0, 1), *((id, 0.0, 0.0, 0.7, 0, 1) for id in (2, 3, 4))]
+        frames.append({"transforms": poses, "vehicle_controls": controls, "light_states": [light(9, 2)]})
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), *map(spawn, (2, 3, 4)), spawn(9, "traffic.traffic_light", x=4000)]
     return frames
 
 
@@ -147,7 +142,6 @@ def tracks() -> str:
 
 
 SCRIPTS = {
-    "parked below": parked_below,
     "nowhere": nowhere,
     "in the way": in_the_way,
     "without a spawn": without_a_spawn,
@@ -243,6 +237,8 @@ def _in_video(recording, time: float, followed: int | None, users: set[int], wal
         mesh, turn = MODELS[instances.models[row]].mesh, instances.rotations[row]
         if MODELS[instances.models[row]].name == "collision mark":
             found.marks.append(tuple(instances.locations[row].tolist()))
+        if MODELS[instances.models[row]].name == "traffic light" and instances.lamps[row]:
+            found.signals[id] = style.light(state_of_lamps(int(instances.lamps[row])))[0]
         if id not in users:
             continue
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
@@ -286,6 +282,9 @@ def _in_rerun(rrd: Rrd, time: float, users: set[int], walkers: set[int]) -> Seen
             color = rrd.at(f"{path}/lamps/{lamp.name.lower()}", "Mesh3D:albedo_factor", time)
             if color is not None and tuple(color[0].to_bytes(4, "big")[:3]) == _glow(lamp):
                 found.lamps.setdefault(id, set()).add(_glow(lamp))
+    for path in rrd.entities:
+        state = rrd.at(path, "StateChange:state", time) if path.startswith("/signals/tl_") else None
+        found.signals |= {int(path.rpartition("_")[2]): state[0]} if state and state[0] in SIGNALS.values() else {}
     (speed,), pedals = (
         rrd.at("/ego/speed_kmh", "Scalars:scalars", time) or [math.nan],
         rrd.at(PEDALS, "Scalars:scalars", time),
@@ -325,6 +324,10 @@ def _in_foxglove(topics, time: float, users: set[int], walkers: set[int]) -> See
         found.pedals = (hero.shown_throttle, hero.shown_brake) if hero.HasField("shown_brake") else None
     ahead = latest(topics["/lights"], time).ahead.text
     found.light = None if ahead == "none" else ahead.rpartition(" ")[2]
+    for name, entity in seen(topics["/scene/signals"], time).items():
+        color = entity.spheres[0].color
+        state = SIGNALS.get(tuple(round(255 * part) for part in (color.r, color.g, color.b)))
+        found.signals |= {int(name.rpartition(" ")[2]): state} if state else {}
     for entity in seen(topics["/scene/marks"], time).values():
         found.marks.append(tuple(_middle(corners(entity)).tolist()))
     return found
@@ -340,6 +343,8 @@ def _in_page(replay, measured, time: float, followed: int | None, users: set[int
         marks=[tuple(place) for place in marks(replay, time)],
         speed=_known(poses[followed][3]) if followed in poses else None,
     )
+    states = values_at(replay.lights, time).items()
+    found.signals = {replay.actors[index].id: style.light(state)[0] for index, state in states if state < len(SIGNALS)}
     for index, flags in lamps.items():
         lit, mesh = int(lamps_of_vehicles(np.array(flags))), MODELS[replay.actors[index].look.model].mesh
         if index in present and (
@@ -398,6 +403,11 @@ def test_they_are_at_the_same_places(shown):
 def test_the_same_lamps_are_lit(shown):
     for where, one, other in compared(shown):
         assert other.lamps == one.lamps, where
+
+
+def test_traffic_lights_have_the_same_colours(shown):
+    for where, one, other in compared(shown):
+        assert other.signals == one.signals, where
 
 
 def test_the_same_walkers_lie(shown):
@@ -475,19 +485,13 @@ def test_an_actor_without_a_spawn_is_there_as_a_small_box(shown):
     assert found["video"][-1].places[9][2] == pytest.approx(0.15)
 
 
-@pytest.mark.parametrize("recorded", ["parked below"], indirect=True, scope="module")
-def test_a_parked_car_is_there_once_it_is_on_the_road(shown):
-    times, found = shown
-    for seen_by in found.values():
-        assert [2 in each.places for each in seen_by] == [time > 1.95 for time in times]
-
-
 @pytest.mark.parametrize("recorded", ["nowhere"], indirect=True, scope="module")
 def test_a_car_is_there_while_its_pose_is_known(shown):
     times, found = shown
     for seen_by in found.values():
         assert [2 in each.places for each in seen_by] == [1.95 < time < 3.95 for time in times]
         assert [3 in each.places for each in seen_by] == [not 1.95 < time < 3.95 for time in times]
+        assert [4 in each.places for each in seen_by] == [time > 1.95 for time in times]
 
 
 def test_verdicts_and_incidents_have_the_same_states(tmp_path):

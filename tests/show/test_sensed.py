@@ -133,16 +133,18 @@ def contents(recording: carla_recap.Recording) -> list[Any]:
 
 
 def test_answers_about_a_crash_are_those_of_its_recording(tmp_path: Path) -> None:
-    export(CRASH, tmp_path / "sensed.mcap")
-    with open_recording(CRASH) as one, open_recording(tmp_path / "sensed.mcap") as other:
+    crash, converted = tmp_path / "crash.mcap", tmp_path / "converted.log"
+    carla_recap.clip(CRASH, crash, start=9.0, duration=6.0)
+    export(crash, tmp_path / "sensed.mcap")
+    with open_recording(crash) as one, open_recording(tmp_path / "sensed.mcap") as other:
+        assert one.collisions().contacts > 0
         for name in ("collisions", "blocked", "incidents", "measures"):
             assert list(getattr(other, name)()) == list(getattr(one, name)()), name
         assert other.info == one.info
         assert {sensor.id: sensor.type for sensor in other.sensors} == {spec.id: spec.type for spec in MOTION}
-    converted = tmp_path / "converted.log"
     with pytest.warns(RecapWarning, match="left out"):
         convert(tmp_path / "sensed.mcap", converted)
-    convert(CRASH, tmp_path / "plain.log")
+    convert(crash, tmp_path / "plain.log")
     assert converted.read_bytes() == (tmp_path / "plain.log").read_bytes()
 
 

@@ -100,24 +100,18 @@ def _times(screenshots: ScreenshotTaker) -> tuple[int, int] | None:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are named so on Linux")
-def test_an_unknown_actor_is_an_error_even_without_a_display(temporary, monkeypatch):
+@pytest.mark.parametrize(
+    ("display", "options", "message"),
+    [
+        (None, {"follow": 777}, "no actor 777 to follow"),
+        (None, {}, r"no display .* --web serves it"),
+        (":4711", {"start": 20, "duration": 1}, r"exit code 1: Failed to open"),
+    ],
+)
+def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch, display, options, message):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match="no actor 777 to follow"):
-        view(recording, follow=777)
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are named so on Linux")
-def test_without_a_display_the_error_suggests_the_browser(temporary, monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
-    with open_recording(SAMPLE) as recording, pytest.raises(RecapError, match=r"no display .* --web serves it"):
-        view(recording)
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are named so on Linux")
-def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch):
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setenv("DISPLAY", ":4711")
-    with open_recording(SAMPLE) as recording, time_limit(), pytest.raises(RecapError, match=r"exit code 1: Failed to open"):
-        view(recording, start=20, duration=1)
+    if display:
+        monkeypatch.setenv("DISPLAY", display)
+    with open_recording(SAMPLE) as recording, time_limit(), pytest.raises(RecapError, match=message):
+        view(recording, **options)

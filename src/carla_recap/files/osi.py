@@ -150,9 +150,10 @@ class GroundTruths:
         A scene whose time is that of the one before, or negative, has none.
         """
         poses = right_handed(batch.poses)
+        finite: Any = np.isfinite(poses).all(axis=2)
+        poses[~finite] = 0  # these are not written
         velocities, accelerations = np.nan_to_num(self._motion.velocities(batch)), np.nan_to_num(self._motion.accelerations)
         rotations = np.radians(wrap(poses[..., ROTATION]))
-        finite: Any = np.isfinite(poses).all(axis=2)
         objects = [(column, *found) for column, id in enumerate(batch.ids.tolist()) if (found := self._object(batch, id))]
         centers = {column: _center(poses[:, column], look.center) for column, _, look in objects}
         fixed, lights = self._fixed(batch), self._lights(batch)

@@ -10,8 +10,9 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page import Opening
-from tests.replay.scripts import pose, spawn, write
+from tests.replay.scripts import spawn, write
 from tests.samples import carla_log, names_in
+from tests.scene.accidents import accident
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report
 from tests.show.page.pages import Page
 
@@ -98,11 +99,26 @@ def test_everything_works_with_the_keyboard(crossing: Page) -> None:
     assert crossing.errors == []
 
 
-def test_the_previous_incident_is_the_latest_one_if_none_is_chosen(crossing: Page) -> None:
-    crossing.browser.execute_script("replay.clock.seek(53)")
-    crossing.press("p")
-    starts = crossing.ask("replay.incidents.items.map(({ start }) => start)")
-    assert crossing.ask("replay.incidents.current") == starts.index(max(starts)) > 0
+TIME, CURRENT = "replay.clock.time", "document.querySelector('[aria-current]')?.dataset.kind"
+
+
+@pytest.mark.parametrize(
+    ("script", "keys", "expression", "expected"),
+    [
+        ("replay.clock.seek(10)", "..", TIME, 10.2),
+        ("replay.clock.seek(10)", ",", TIME, 9.9),
+        ("replay.clock.seek(10)", "<<<<<", "replay.clock.pace", 0.1),
+        ("replay.clock.seek(10)", ">>>>>>>>", "replay.clock.pace", 16),
+        ("replay.clock.seek(53)", "p", CURRENT, "collision"),  # the latest one, as none is chosen
+        ("document.querySelector('.filter[data-kind=collision]').click()", "nnn", CURRENT, "hard braking"),
+        ("document.getElementById('time').focus()", "\ue010", TIME, 53),  # End: the last sample
+        ("", "a\ue00c", "document.activeElement.id", "incidents-tab"),  # Escape leads from the search to the incidents
+    ],
+)
+def test_keys(crossing: Page, script: str, keys: str, expression: str, expected: Any) -> None:
+    crossing.browser.execute_script(script)
+    crossing.press(*keys)
+    assert crossing.ask(expression) == (pytest.approx(expected) if isinstance(expected, float) else expected)
 
 
 @pytest.mark.parametrize("button", ["#trails", ".incident", "#pace"])
@@ -160,19 +176,6 @@ def test_an_actor_is_found_and_followed_without_a_mouse(crossing: Page) -> None:
     assert crossing.errors == []
 
 
-def test_single_frames_are_shown_and_the_speed_is_from_a_tenth_to_sixteen_times(crossing: Page) -> None:
-    crossing.browser.execute_script("replay.clock.seek(10)")
-    crossing.press(".", ".")
-    assert crossing.time == pytest.approx(10.2)
-    crossing.press(",")
-    crossing.click("#back")
-    assert crossing.time == pytest.approx(10)
-    crossing.press(*"<<<<")
-    assert crossing.ask("replay.clock.pace") == 0.1
-    crossing.press(*">>>>>>>>")
-    assert crossing.ask("replay.clock.pace") == 16
-
-
 def test_the_timeline_and_the_plots_zoom_together(crossing: Page) -> None:
     part = "[replay.part.start, replay.part.stop]"
     crossing.browser.execute_script("replay.clock.seek(20)")
@@ -220,23 +223,10 @@ def test_a_picture_of_the_view_is_saved(crossing: Page, tmp_path: Path) -> None:
 
 
 def test_a_walker_lies_in_the_direction_of_its_fall(chromium: Chrome, tmp_path: Path) -> None:
-    there = {"transforms": [pose(1, 100), pose(2, 200, z=93)]}
-    frames: list[dict[str, Any]] = [{"transforms": [pose(1, 50 * n), pose(2, 200, z=93)]} for n in range(3)]
-    frames += [dict(there) for _ in range(37)]
-    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001", yaw=90)]
-    frames[2]["collisions"] = [(0, 1, 2, False, False)]
-    page = Page(chromium, report(write(tmp_path / "fall.log", frames, tick=0.1), tmp_path / "page"))
+    page = Page(chromium, report(write(tmp_path / "fall.log", accident(40), tick=0.1), tmp_path / "page"))
     headings = [page.ask("replay.tracks.lying(replay.tracks.indexOf(2, 0), arguments[0])", time) for time in (0.1, 2.0)]
     assert headings[0] is None
     assert headings[1] == pytest.approx(0, abs=0.05)
-
-
-def test_a_kind_can_be_hidden(crossing: Page) -> None:
-    crossing.click('.filter[data-kind="collision"]')
-    shown = crossing.ask("[...document.querySelectorAll('#list li:not([hidden]) .incident')].map(row => row.dataset.kind)")
-    assert sorted(shown) == ["blocked", "hard braking"]
-    crossing.press("n", "n", "n")
-    assert crossing.ask("document.querySelector('[aria-current]').dataset.kind") == "hard braking"
 
 
 def test_a_click_on_an_actor_follows_it_and_the_wheel_zooms(crossing: Page) -> None:
@@ -310,9 +300,7 @@ def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Pat
     assert page.errors == []
 
 
-@pytest.mark.filterwarnings("ignore:no crossings are found behind:carla_recap.RecapWarning")  # the last time of one
-@pytest.mark.filterwarnings("ignore:.*the clock goes back:carla_recap.RecapWarning")
-@pytest.mark.parametrize("name", ["carla-0.9.13-lane-center", "floats", "times", "events"])
+@pytest.mark.parametrize("name", ["carla-0.9.13-lane-center", "floats"])
 def test_recordings_of_carla_open(chromium: Chrome, tmp_path: Path, name: str) -> None:
     page = Page(chromium, report(carla_log(f"{name}.log"), tmp_path / "page"))
     assert page.ask("document.querySelectorAll('.incident').length") == len(data(tmp_path / "page", "report")["incidents"])
@@ -333,22 +321,7 @@ def test_it_opens_at_an_incident_and_names_the_broken_rules(chromium: Chrome, cr
     assert page.ask("location.hash") == ""
     assert Page(chromium, tmp_path / "page.html", "#t=20").time == 20
     assert page.errors == []
-
-
-def test_it_opens_shortly_before_a_moment_without_an_incident(chromium: Chrome, crossing_page: Path, tmp_path: Path) -> None:
-    actor = data(crossing_page, "report")["incidents"][0]["actors"][0]
-    page = Page(chromium, report(CROSSING, tmp_path / "page.html", opening=Opening(20.0, (actor,))))
-    assert page.time == 17
-    assert page.ask("[replay.incidents.current, replay.camera.followed, document.getElementById('notes').hidden]") == [
-        *(-1, actor, True)
-    ]
-
-
-def test_the_slider_reaches_the_last_sample_and_escape_leads_from_the_search_to_the_incidents(crossing: Page) -> None:
-    from selenium.webdriver.common.keys import Keys
-
-    crossing.browser.execute_script("document.getElementById('time').focus()")
-    crossing.press(Keys.END)
-    assert crossing.ask("replay.clock.time === replay.clock.stop")
-    crossing.press("a", Keys.ESCAPE)
-    assert crossing.ask("document.activeElement.id") == "incidents-tab"
+    report(CROSSING, tmp_path / "other.html", opening=Opening(20.0, (incident["actors"][0],)))  # without an incident
+    page = Page(chromium, tmp_path / "other.html")
+    assert (page.time, page.ask("replay.incidents.current")) == (17, -1)
+    assert page.ask("document.getElementById('notes').hidden")

@@ -16,7 +16,7 @@ from carla_recap.show.page import samples
 from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data, recording_data
 from tests.replay.scripts import pose, spawn
-from tests.show.page.conftest import CROSSING, data, record, report, sampled, unpack, values_at
+from tests.show.page.conftest import CROSSING, data, record, report, sampled, unpack
 
 
 def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:
@@ -29,13 +29,6 @@ def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track
     ]
     assert replay.tracks[1].rows.tolist() == [[1, -2, -90, 0]]
     assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
-
-
-def test_an_actor_that_stands_still_stands_also_where_its_last_pose_is_missing(tmp_path: Path) -> None:
-    frames: list[dict[str, Any]] = [{"transforms": [(1, 0, 0, 0, 0, 0, 0)] * (n != 8)} for n in range(9)]
-    frames[0]["spawned"] = [spawn(1)]
-    (track,) = sampled(record(tmp_path / "a.mcap", frames)).tracks
-    assert track.rows.tolist() == [[0, 0, 0, 0]]
 
 
 def test_the_first_speed_is_that_of_the_first_step_of_the_recording(tmp_path: Path) -> None:
@@ -53,27 +46,10 @@ def test_a_jump_a_gap_and_nan_end_a_track(tmp_path: Path) -> None:
     assert [(track.first, track.last) for track in replay.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
 
 
-def test_a_reused_id_is_another_actor(tmp_path: Path) -> None:
-    there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
-    frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
-    replay = sampled(record(tmp_path / "a.log", frames))
-    assert [(actor.id, actor.until, actor.actor.type_id) for actor in replay.actors] == [
-        (7, 0.1, "vehicle.audi.tt"),
-        (7, None, "walker.a"),
-    ]
-    assert [(track.actor, track.first, track.last) for track in replay.tracks] == [(0, 0, 1), (1, 3, 4)]
-
-
 def test_the_rate_limits_the_samples() -> None:
     replay = sampled(CROSSING, rate=2.0)
     assert len(replay.times) == pytest.approx(53 * 2, abs=2)
     assert np.diff(replay.times).min() > 0.49
-
-
-def test_an_actor_spawned_between_two_samples_is_in_the_next(tmp_path: Path) -> None:
-    frames = [{}, {"spawned": [spawn(7, "static.prop")]}, {}, {"destroyed": [7], "spawned": [spawn(8)]}, {}, {}, {}]
-    replay = sampled(record(tmp_path / "a.log", frames), rate=10)
-    assert [(replay.actors[track.actor].id, track.first, track.last) for track in replay.tracks] == [(7, 1, 1), (8, 2, 3)]
 
 
 def test_what_is_plotted_is_what_is_measured_elsewhere() -> None:
@@ -104,21 +80,6 @@ def test_what_is_plotted_is_what_is_measured_elsewhere() -> None:
         values = np.where(found[name] <= -127, np.nan, found[name])
         known = np.where(np.isfinite(expected[name]), expected[name], np.nan)
         assert values.tolist() == pytest.approx(known.tolist(), abs=0.51 * unit, nan_ok=True), name
-
-
-def test_each_change_of_a_light_is_recorded_once() -> None:
-    replay = sampled(CROSSING)
-    lamp = next(index for index, actor in enumerate(replay.actors) if actor.id == 20)
-    assert [(round(time), state) for actor, time, state in replay.lights if actor == lamp] == [
-        (0, 0),
-        (2, 2),
-        (12, 1),
-        (15, 0),
-        (32, 2),
-        (42, 1),
-        (45, 0),
-    ]
-    assert values_at(replay.lights, 13)[lamp] == 1
 
 
 def test_the_leaders_of_one_life_stay_when_its_id_is_used_again(tmp_path: Path) -> None:

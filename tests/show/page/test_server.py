@@ -11,8 +11,7 @@ from threading import Thread
 import pytest
 
 from carla_recap import RecapError
-from carla_recap.show.page import page_server, serve
-from carla_recap.show.page import server as module
+from carla_recap.show.page import page_server
 from tests.waiting import PATIENCE
 
 
@@ -59,16 +58,6 @@ def test_it_serves_nothing_else(folder: Path) -> None:
         for path in ("/data/", "/../secret.txt", "/%2e%2e/secret.txt", "/link.txt", "//etc/passwd", "/nothing", "/%00"):
             assert get(port, path)[0] == 404, path
         assert get(port, "/", Host="elsewhere.example")[0] == 403
-
-
-def test_ctrl_c_ends_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module.ThreadingHTTPServer, "serve_forever", interrupt)
-    addresses: list[str] = []
-    serve(folder, ready=addresses.append)
-    assert addresses[0].startswith("http://127.0.0.1:")
 
 
 def test_invalid_arguments_are_errors(folder: Path) -> None:

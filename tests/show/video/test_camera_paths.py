@@ -104,11 +104,6 @@ def test_top_shows_more_at_speed_and_zooms_slowly() -> None:
     assert spans[3] == pytest.approx(86, abs=0.1)
 
 
-def test_other_views_have_no_scale() -> None:
-    assert pixels_per_metre(camera("chase", subject()), 0.0) is None
-    assert pixels_per_metre(camera("driver", subject()), 0.0) is None
-
-
 @pytest.mark.parametrize(
     ("half", "options"), [(CAR, {}), (BUS, {}), (WALKER, {"is_walker": True}), ((1, 0.4, 0.75), {"two_wheeled": True})]
 )

@@ -102,10 +102,6 @@ def test_what_cannot_be_written_is_refused(name: str, size: tuple[int, int], rat
         check_video(Path(name), size, rate, frames)
 
 
-def test_a_gif_may_have_odd_sides() -> None:
-    check_video(Path("out.gif"), (321, 181), 10, 9)
-
-
 @pytest.mark.parametrize(("suffix", "package"), [(".mp4", "av"), (".gif", "PIL.Image")])
 def test_without_a_package_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, suffix: str, package: str) -> None:
     monkeypatch.setitem(sys.modules, package, None)

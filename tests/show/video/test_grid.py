@@ -15,11 +15,10 @@ from click.testing import CliRunner
 from carla_recap import export_video, open_recording
 from carla_recap.cli.export import video as video_command
 from carla_recap.errors import RecapError
-from carla_recap.sensors import SensorRig
 from carla_recap.sensors.decoding import StoredImages
 from carla_recap.show.video.video import CameraGrid
 from tests.sensed import CRASH
-from tests.show.conftest import PLACE, SENSORS
+from tests.show.conftest import SENSORS
 from tests.show.conftest import sensed_recording as sensed_recording
 
 
@@ -57,14 +56,14 @@ def test_all_cameras_are_tiled_with_their_names(sensed_recording, tmp_path):
 
 
 def test_cameras_of_a_rig_film_a_recording_without_sensors_from_the_same_place(sensed_recording, tmp_path):
-    rig = SensorRig.of([sensor for sensor in SENSORS if sensor["id"] == "front"])
-    with open_recording(CRASH) as recording:
-        export_video(
-            recording, tmp_path / "rig.mp4", cameras=["front"], rig=rig, start=11.0, duration=0.3, rate=10, overlay=False
-        )
+    rig, destination = tmp_path / "rig.json", tmp_path / "rig.mp4"
+    rig.write_text(json.dumps([sensor for sensor in SENSORS if sensor["id"] == "front"]))
+    options = ["--rig", str(rig), "--grid", "--start", "11", "--duration", "0.3", "--fps", "10", "--no-overlay"]
+    found = CliRunner().invoke(video_command, [str(CRASH), str(destination), *options], catch_exceptions=False)
+    assert found.exit_code == 0, found.output
     with open_recording(sensed_recording) as recording:
         stored = StoredImages(recording.reader, "front").at(11.0)
-    assert np.abs(pictures(tmp_path / "rig.mp4")[0] - stored).mean() < 12  # one has shadows, the other has none
+    assert np.abs(pictures(destination)[0] - stored)[:90].mean() < 12  # one has shadows, the other has none
 
 
 def test_what_is_known_of_the_scene_is_written_on_the_picture(sensed_recording, tmp_path):
@@ -106,26 +105,11 @@ def test_what_does_not_fit_together_is_an_error(sensed_recording, tmp_path, argu
     assert not (tmp_path / "a.mp4").exists()
 
 
-def test_the_command_films_by_a_rig(tmp_path, sensed_recording):
-    rig = tmp_path / "rig.json"
-    rig.write_text(json.dumps([{"type": "sensor.camera.rgb", "id": "front", **PLACE, "width": 96, "height": 64}]))
-    destination = tmp_path / "rig.mp4"
-    arguments = [str(CRASH), str(destination), "--rig", str(rig), "--grid", "--start", "11", "--duration", "0.2"]
-    found = CliRunner().invoke(video_command, arguments, catch_exceptions=False)
-    assert found.exit_code == 0, found.output
-    assert pictures(destination)[0].shape == (64, 96, 3)
-
-
-def test_an_unknown_camera_is_an_error_that_lists_the_others(sensed_recording, tmp_path):
-    refused = pytest.raises(RecapError, match=r"has no RGB camera 'side'; one of front, back was expected$")
-    with open_recording(sensed_recording) as recording, refused:
-        export_video(recording, tmp_path / "side.mp4", cameras=["side"])
-    assert not (tmp_path / "side.mp4").exists()
-
-
-def test_a_recording_without_sensors_has_no_cameras(tmp_path):
-    with (
-        open_recording(CRASH) as recording,
-        pytest.raises(RecapError, match=r"crash.mcap: has no data of cameras; --rig RIG.json"),
+def test_a_camera_that_is_not_there_is_an_error(sensed_recording, tmp_path):
+    for source, cameras, message in (
+        (sensed_recording, ["side"], r"has no RGB camera 'side'; one of front, back was expected$"),
+        (CRASH, "all", r"crash.mcap: has no data of cameras; --rig RIG.json"),
     ):
-        export_video(recording, tmp_path / "none.mp4", cameras="all")
+        with open_recording(source) as recording, pytest.raises(RecapError, match=message):
+            export_video(recording, tmp_path / "side.mp4", cameras=cameras)
+    assert not (tmp_path / "side.mp4").exists()
