@@ -13,6 +13,7 @@ import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.rig import SensorRig
 from tests.replay.scripts import matrix_of
+from tests.sensed import filmed
 from tests.sensors.cars import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive, spawn
 
 pytest.importorskip("rosbags")
@@ -174,34 +175,19 @@ def test_the_mcap_library_reads_it_and_static_topics_are_latched(bag: Path, mess
 
 
 def test_sensors_of_a_recording_are_in_its_bag(tmp_path: Path) -> None:
-    from carla_recap.formats.mcap.writer import McapWriter
-    from carla_recap.sensors.messages import SensorMessages
-    from carla_recap.sensors.sensing import Sample
-
-    spec = SensorRig.of([{"type": "sensor.camera.depth", "id": "own", "x": 0, "y": 0, "z": 0, "width": 64, "height": 48}])
-    maker = None
-    source, path = drive(tmp_path / "cars.mcap"), tmp_path / "sensed.mcap"
-    with carla_recap.open_recording(source) as recording:
-        maker = SensorMessages(spec, recording.header)
-        with McapWriter(path, recording.header) as writer:
-            for topic in maker.topics:
-                writer.add_topic(topic)
-            for batch in recording.reader.batches():
-                writer.write_batch(batch)
-            times = [STEP, recording.info.duration]
-            for time in times:
-                sample = Sample(spec["own"], time, np.array((1.0, 2, 3, 0, 0, 0)), np.full((48, 64), 7.0, np.float32))
-                for message in maker.of([sample]):
-                    writer.write_message(*message)
-    messages = exported(path, tmp_path / "bag")
-    assert [time for time, _ in messages["/sensors/own/image"]] == [round(time * 1e9) for time in times]
-    image = messages["/sensors/own/image"][0][1]
-    assert set(image.data.view("<u2").tolist()) == {7000}
+    path = filmed(tmp_path / "filmed.mcap", {"own": (0.0, {1.0: (200, 0, 0), 2.5: (0, 0, 200)})})
+    with pytest.warns(RecapWarning, match=r"the hero has no pose: the bag has no /odom"):
+        messages = exported(path, tmp_path / "bag")
+    assert [(time, image.format) for time, image in messages["/sensors/own/image/compressed"]] == [
+        (1_000_000_000, "jpeg"),
+        (2_500_000_000, "jpeg"),
+    ]
     frames = {each.child_frame_id: each for _, found in messages["/tf"] for each in found.transforms}
     assert frames["own"].header.frame_id == "map"
-    assert matrix(frames["own"].transform)[:3] == pytest.approx(np.array(((0, 0, 1, 1), (-1, 0, 0, 2), (0, -1, 0, 3.0))))
+    assert matrix(frames["own"].transform)[:3] == pytest.approx(np.array(((0, 0, 1, 0), (-1, 0, 0, 0), (0, -1, 0, 0.0))))
+    rig = SensorRig.of([{"type": "sensor.other.imu", "id": "own"}])
     with carla_recap.open_recording(path) as recording, pytest.raises(RecapError, match="has data of a sensor 'own'"):
-        carla_recap.export(recording, tmp_path / "again", to="rosbag2", rig=spec)
+        carla_recap.export(recording, tmp_path / "again", to="rosbag2", rig=rig)
 
 
 def test_actors_that_are_gone_are_deleted(tmp_path: Path) -> None:

@@ -317,9 +317,10 @@ def texts(value):
     return [value] if isinstance(value, str) else []
 
 
-@pytest.fixture(params=layout_files().values(), ids=lambda path: path.stem)
-def layout(request):
-    return json.loads(request.param.read_text("utf-8"))
+@pytest.fixture
+def layout():
+    """Return one of the layouts; the other one has the same panels."""
+    return json.loads(next(iter(layout_files().values())).read_text("utf-8"))
 
 
 def test_both_layouts_have_the_same_panels_but_for_legends():
@@ -350,13 +351,8 @@ def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
             name = field.removesuffix("[:]")
             assert name in value.DESCRIPTOR.fields_by_name
             value = getattr(value, name)[0] if field.endswith("[:]") else getattr(value, name)
-            for name in re.findall(r"\{(\w+)==", path):
-                assert (
-                    name
-                    in crossing[topic][0][1]
-                    .DESCRIPTOR.fields_by_name[fields[0].removesuffix("[:]")]
-                    .message_type.fields_by_name
-                )
+        kind = crossing[topic][0][1].DESCRIPTOR.fields_by_name[fields[0].removesuffix("[:]")].message_type
+        assert all(name in kind.fields_by_name for name in re.findall(r"\{(\w+)==", path))
 
 
 def test_no_topic_is_one_of_a_recording():

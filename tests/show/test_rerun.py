@@ -12,6 +12,8 @@ import psutil
 import pytest
 
 from carla_recap import ActorKind, RecapError, RecapWarning, Spawn, open_recording
+from carla_recap.model.lives import ROAD_USERS
+from carla_recap.replay import Player
 from carla_recap.roads import RoadMap, load_map
 from carla_recap.scene import style
 from carla_recap.scene.follow import followed_series
@@ -105,13 +107,9 @@ def test_the_map_is_in_carlas_axes(crossing) -> None:
     rows = crossing.rrd.rows("/map/actors", "Points2D:positions")
     assert len(rows) == crossing.played.frames
     time, points = rows[300]
-    there = {}
-    for id, actor in crossing.recording.actors.items():
-        if actor.kind in ("vehicle", "walker"):
-            way = crossing.recording.trajectory(id, axes="carla")
-            (found,) = np.nonzero(np.isclose(way.time, time))
-            if len(found):
-                there[id] = (way.x[found[0]], way.y[found[0]])
+    scene = Player(crossing.recording).at(time)
+    poses = zip(scene.ids.tolist(), scene.poses.tolist(), strict=True)
+    there = {id: (x / 100, y / 100) for id, (x, y, *_) in poses if scene.actors[id].kind in ROAD_USERS}
     assert np.array(sorted(points)) == pytest.approx(np.array(sorted(there.values())), abs=1e-3)
     colors = crossing.rrd.rows("/map/actors", "Points2D:colors")[300][1]
     assert len(colors) == len(points)

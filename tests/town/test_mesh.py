@@ -315,15 +315,6 @@ def surface(town: TownMesh, *materials: Material) -> TriangleGrid:
     return TriangleGrid(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
 
 
-def test_the_triangles_that_are_looked_at_for_a_point_are_bounded():
-    grid = TriangleGrid(np.array([(0, 0, 0), (3, 0, 0), (0, 3, 0)]), np.array([(0, 1, 2)] * 5000))
-    index, heights, _ = grid.hits(np.full((10_000, 2), 0.5))
-    assert 0 < len(index) <= 10_000 * 300
-    assert (np.diff(index) >= 0).all()
-    assert not heights.any()
-    assert grid.highest(np.array([(0.5, 0.5)])).tolist() == [0.0]
-
-
 def test_roads_far_apart_have_ground_around_them_alone():
     with pytest.warns(RecapWarning, match="the ground is known to"):
         town = built(*(road(number, x=4e3 * number, y=-4e3 * number) for number in range(1, 61)))

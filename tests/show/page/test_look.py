@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from selenium.webdriver import Chrome
 
 LONG = "vehicle." + "a_name_without_spaces" * 5
-INCIDENTS = 300
+INCIDENTS = 120
 
 
 @pytest.fixture(scope="module")
 def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page with hundreds of incidents, and long names."""
+    """A page with many incidents, and long names."""
     frames: list[dict[str, Any]] = [
         {"transforms": [(id, 1000 * id, step, 0, 0, 0, 0) for id in range(1, 9)]} for step in range(INCIDENTS + 1)
     ]
@@ -97,7 +97,7 @@ def test_names_at_the_edges_are_inside_the_map(chromium: Chrome, tmp_path: Path)
     assert all(half <= left <= width - half for left, half in drawn)
 
 
-def test_hundreds_of_marks_do_not_overlap(chromium: Chrome, crowded: Path) -> None:
+def test_many_marks_do_not_overlap(chromium: Chrome, crowded: Path) -> None:
     page = Page(chromium, crowded)
     boxes = "[...document.querySelectorAll('.mark')].map(mark => mark.getBoundingClientRect())"
     edges = page.ask(f"{boxes}.map(({{left, right}}) => [left, right])")
