@@ -13,7 +13,7 @@ import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.rig import SensorRig
 from tests.replay.scripts import matrix_of
-from tests.sensed import filmed
+from tests.sensed import HEADER, filmed
 from tests.sensors.cars import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive, spawn
 
 pytest.importorskip("rosbags")
@@ -178,10 +178,9 @@ def test_sensors_of_a_recording_are_in_its_bag(tmp_path: Path) -> None:
     path = filmed(tmp_path / "filmed.mcap", {"own": (0.0, {1.0: (200, 0, 0), 2.5: (0, 0, 200)})})
     with pytest.warns(RecapWarning, match=r"the hero has no pose: the bag has no /odom"):
         messages = exported(path, tmp_path / "bag")
-    assert [(time, image.format) for time, image in messages["/sensors/own/image/compressed"]] == [
-        (1_000_000_000, "jpeg"),
-        (2_500_000_000, "jpeg"),
-    ]
+    images = messages["/sensors/own/image/compressed"]
+    assert [time / 1e9 - HEADER.date for time, _ in images] == [1.0, 2.5]
+    assert {image.format for _, image in images} == {"jpeg"}
     frames = {each.child_frame_id: each for _, found in messages["/tf"] for each in found.transforms}
     assert frames["own"].header.frame_id == "map"
     assert matrix(frames["own"].transform)[:3] == pytest.approx(np.array(((0, 0, 1, 0), (-1, 0, 0, 0), (0, -1, 0, 0.0))))
