@@ -11,4 +11,4 @@ else
 fi
 PYTHONPATH=$here/src${PYTHONPATH:+:$PYTHONPATH}
 export PYTHONPATH
-exec "$python" -P -c 'from carla_recap.cli.launcher import launch; launch()' "$@"
+exec "$python" -P -c 'from carla_recap.cli.server import launch; launch()' "$@"

@@ -195,10 +195,13 @@ class Run(NamedTuple):
         return parts[parts.index(test) + 1]
 
 
+def started(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--basetemp=temporary", *options]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False)
+
+
 def run_pytest(folder: Path, *options: str) -> Run:
-    usual = ("-p", "no:cacheprovider", "--basetemp=temporary", "--junitxml=out.xml")
-    command = [sys.executable, "-m", "pytest", *usual, *options]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    done = started(folder, "--junitxml=out.xml", *options)
     assert done.returncode in (0, 1), done.stdout + done.stderr
     cases = ElementTree.parse(folder / "out.xml").iter("testcase")
     return Run(done.stdout + done.stderr, {case.get("name", ""): list(case) for case in cases}, folder)
@@ -323,6 +326,25 @@ def test_the_same_test_gives_the_same_recording(parallel: Run) -> None:
 
 def test_workers_have_servers_of_their_own(parallel: Run) -> None:
     assert len(set(re.findall(r"port (\d+)", parallel.output))) == 2
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("rules=nope.toml", "nope.toml: cannot be read: No such file or directory"),
+        ("rules=wrong.toml", "wrong.toml: rule 'a': unknown condition 'maps'"),
+        ("dir=wrong.toml", "--carla-recap-dir: FOLDER/wrong.toml: is a file; a folder was expected"),
+        ("release=0.9.99", "expected a release of CARLA (0.10.0, "),
+    ],
+)
+def test_a_wrong_option_is_an_error_of_one_line_at_the_start(tmp_path: Path, option: str, message: str) -> None:
+    (tmp_path / "wrong.toml").write_text("[rules.a]\nmaps = 'x'\n[rules.b]\nframes = { max = -1 }\n")
+    (tmp_path / "test_none.py").write_text("def test_none(carla_server): pass")
+    done = started(tmp_path, f"--carla-recap-{option}")
+    (line,) = done.stderr.strip().splitlines()
+    assert (done.returncode, done.stdout) == (pytest.ExitCode.USAGE_ERROR, "")
+    assert line.startswith("ERROR: ")
+    assert message.replace("FOLDER", str(tmp_path)) in line
 
 
 def test_files_of_tests_are_named_after_them() -> None:

@@ -23,7 +23,7 @@ def main() -> None:
 def launch() -> None:
     """Run the server with the arguments of CARLA's own."""
     with _Start():
-        from carla_recap.cli.launcher import launch as run
+        from carla_recap.cli.server import launch as run
     run()
 
 

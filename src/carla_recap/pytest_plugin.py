@@ -54,11 +54,28 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the marker."""
+    """Describe the marker, and refuse options that no test could be run with."""
+    from carla_recap.errors import RecapError
+    from carla_recap.util.text import single_line
+
     config.addinivalue_line(
         "markers",
         "carla(map, rules, fixed_delta_seconds, synchronous): the world of carla_world, and the rules for its recording",
     )
+    there = next(each for each in _kept(config, "test")[0].parents if each.exists())
+    try:
+        if not there.is_dir():
+            raise RecapError(f"--carla-recap-dir: {there}: is a file; a folder was expected")
+        if config.option.carla_recap_release != "auto":
+            from carla_recap.server.protocol import release_named
+
+            release_named(config.option.carla_recap_release)
+        if config.option.carla_recap_rules:
+            from carla_recap.rules.rule_sets import load_rules
+
+            load_rules(_rules(config))
+    except RecapError as error:
+        raise pytest.UsageError(single_line(error)) from None
 
 
 class _Server:
@@ -143,14 +160,15 @@ class CarlaWorld:
         self.recording = recording
         self.broken: list[Verdict] = []
         self._server = server
-        self._options = options
+        self._step: float = options.get("fixed_delta_seconds", TICK)
+        self._is_synchronous: bool = options.get("synchronous", True)
         self._is_recording = False
         self._traffic_manager: carla.TrafficManager | None = None
         if not server.is_alive:  # it has ended during the last test
             server.start()
         self.client = carla.Client(HOST, server.port)
         self.client.set_timeout(_TIMEOUT)
-        self.load_world(self._options.get("map") or BUILT_IN)
+        self.load_world(options.get("map") or BUILT_IN)
 
     @property
     def is_served(self) -> bool:
@@ -166,10 +184,9 @@ class CarlaWorld:
     def traffic_manager(self) -> carla.TrafficManager:
         """A traffic manager of this test alone, synchronous if the world is."""
         if self._traffic_manager is None:
-            synchronous = self._options.get("synchronous", True)
             self._traffic_manager = self.client.get_trafficmanager(_free_port())
-            self._traffic_manager.set_synchronous_mode(synchronous)
-            if synchronous:
+            self._traffic_manager.set_synchronous_mode(self._is_synchronous)
+            if self._is_synchronous:
                 # Its first cycle is asynchronous: it forgets each vehicle registered that was spawned since the last tick.
                 # Settings are signalled to managers as ticks are: this returns when the manager waits for the next signal.
                 self.world.apply_settings(self.world.get_settings())
@@ -184,13 +201,11 @@ class CarlaWorld:
         import carla
 
         self.stop_recording()
-        step = self._options.get("fixed_delta_seconds", TICK)
-        synchronous = self._options.get("synchronous", True)
         # An episode in asynchronous mode would tick by the clock until its settings are applied.
-        self.client.get_world().apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=step))
+        self.client.get_world().apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=self._step))
         self.world = self.client.load_world(name, False)
-        if not synchronous:
-            self.world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=step))
+        if not self._is_synchronous:
+            self.world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=self._step))
         self.world.reset_all_traffic_lights()
         self.client.start_recorder(str(self.recording), True)
         self._is_recording = True
@@ -202,8 +217,7 @@ class CarlaWorld:
         Args:
             seconds: The simulated seconds, at least one time step.
         """
-        step = self._options.get("fixed_delta_seconds", TICK)
-        for _ in range(round(seconds / step) - 1):
+        for _ in range(round(seconds / self._step) - 1):
             self.world.tick()
         return int(self.world.tick())
 
@@ -297,7 +311,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
         marker = item.get_closest_marker("carla")
         files = [item.path.parent / marker.kwargs["rules"]] if marker and marker.kwargs.get("rules") else []
         if item.config.option.carla_recap_rules:
-            files.append(item.config.invocation_params.dir / item.config.option.carla_recap_rules)
+            files.append(_rules(item.config))
         broken = ""
         try:
             for file in files:
@@ -348,6 +362,12 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     except (RecapError, RuntimeError, OSError) as error:
         lines.append(f"{'page' if lines else 'recording'}: none: {error}")
     return lines
+
+
+def _rules(config: pytest.Config) -> Path:
+    """Return the file of the rules for all tests."""
+    file: Path = config.invocation_params.dir / config.option.carla_recap_rules
+    return file
 
 
 def _kept(config: pytest.Config, name: str) -> tuple[Path, Path]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.cli.launcher import serve_arguments
+from carla_recap.cli.server import serve_arguments
 from tests.cli.command import ENVIRONMENT
 from tests.server.client import connect, port_of, refuses_connections
 from tests.waiting import PATIENCE

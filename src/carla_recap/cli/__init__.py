@@ -36,8 +36,7 @@ _COMMANDS: Final = {
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),
-    "metrics": ("metrics",),
-    "check": ("check",),
+    "check": ("check", "metrics"),
     "campaign": ("campaign",),
     "score": ("score",),
     "diff": ("diff",),
@@ -70,7 +69,7 @@ class _Commands(click.Group):
             return super().get_command(ctx, cmd_name)
         command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), _function(cmd_name))
         if not any(each.name == "quiet" for each in command.params):
-            command.params += (_verbose(), _quiet())
+            command.params += _of_all()
         return command
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
@@ -92,26 +91,19 @@ class _Commands(click.Group):
             print_written(empty=succeeds)
 
 
-def _set_quiet(_: click.Context, __: click.Parameter, value: bool) -> None:
-    if value:
-        ask_quiet()
-
-
 def _set_verbose(_: click.Context, __: click.Parameter, value: int) -> None:
     if value:
         log_to_stderr(value)
 
 
-def _quiet() -> click.Option:
-    """Return an option of all commands, before and after their names."""
-    words = "Print neither progress nor what was written; errors and warnings stay."
-    return click.Option(["-q", "--quiet"], is_flag=True, expose_value=False, callback=_set_quiet, help=words)
-
-
-def _verbose() -> click.Option:
-    """Return another such option."""
-    words = "Log on stderr what is opened, found and kept; -vv also what is read and written."
-    return click.Option(["-v", "--verbose"], count=True, expose_value=False, callback=_set_verbose, help=words)
+def _of_all() -> list[click.Parameter]:
+    """Return the options of all commands, before and after their names."""
+    verbose = "Log on stderr what is opened, found and kept; -vv also what is read and written."
+    quiet = "Print neither progress nor what was written; errors and warnings stay."
+    return [
+        click.Option(["-v", "--verbose"], count=True, expose_value=False, callback=_set_verbose, help=verbose),
+        click.Option(["-q", "--quiet"], is_flag=True, expose_value=False, callback=ask_quiet, help=quiet),
+    ]
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -124,7 +116,7 @@ def cli() -> None:
     """
 
 
-cli.params += (_verbose(), _quiet())
+cli.params += _of_all()
 
 
 def main() -> None:

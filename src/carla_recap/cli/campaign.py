@@ -18,8 +18,8 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.check import loaded_rules
 from carla_recap.cli.many import cluster
+from carla_recap.cli.options import JOBS, NUMBER, POSITIVE, argument, command, flag, option, together
 from carla_recap.cli.output import counted, emit, end, fail, note, say, warn, wrote
-from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 from carla_recap.cli.progress import SourcesBar
 
 if TYPE_CHECKING:
@@ -32,63 +32,110 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures import Measure
 
 _SHOWN: Final = 5  # of the worst runs, and of failed ones
+_OF_CAMPAIGNS: Final = ("out", "town", "duration", "additional_data", "limit", "jobs", "again", "carla", "python")
+"""The fields of `Campaign` that are options."""
 
 
-@click.command()
-@click.argument("function", required=False, metavar="[FILE.py:FUNCTION]")
-@click.option(
-    "--serve", "script", type=click.Path(), metavar="SCRIPT.py", help="Run this script for CARLA's client instead."
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignRequest:
+    """The arguments and options of the command; those that are fields of `Campaign` mean what they mean there."""
+
+    function: str | None = argument("function", "[FILE.py:FUNCTION]", required=False, type=str)
+    script: str | None = options.path(
+        "--serve", "script", metavar="SCRIPT.py", help="Run this script for CARLA's client instead."
+    )
+    carla: str = options.carla
+    python: str | None = option(
+        "--python",
+        type=click.Path(exists=True, dir_okay=False, executable=True),
+        metavar="PATH",
+        help="The interpreter of SCRIPT.py, such as that of an environment with another client; else this one.",
+    )
+    out: str = option(
+        "--out", required=True, metavar="DIR", help="The folder of the recordings, or a prefix of an object store."
+    )
+    seeds: str = option("--seeds", default="1", metavar="A:B|N,...", help="The seeds of the worlds.")
+    params: tuple[str, ...] = option(
+        "--param", "params", multiple=True, metavar="NAME=V,...", help="Values of a parameter, or a range A..B to search."
+    )
+    town: str | None = option("--town", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
+    duration: float = option(
+        "--duration",
+        type=NUMBER,
+        default=0,
+        show_default=False,
+        metavar="S",
+        help="Tick on until this time when FUNCTION returns.",
+    )
+    additional_data: bool = options.additional_data
+    again: bool = flag("--again", help="Make recordings anew that another function, code, town or duration has made.")
+    keep_going: bool = flag("--keep-going", help="Go on when as many runs in a row as there are workers have failed.")
+    limit: float | None = option(
+        "--limit", type=POSITIVE, metavar="S", help="End a run that takes more wall-clock seconds; else none is ended."
+    )
+    jobs: int | None = option(
+        "--workers", "jobs", type=JOBS, metavar="N", help="Worker processes; else one for each processor."
+    )
+    dask: str | None = option("--dask", metavar="ADDRESS", help="Run on the Dask cluster with this scheduler.")
+    rules_file: str | None = options.path("--rules", "rules_file", help="Check the recordings by the rules of a TOML file.")
+    routes_file: str | None = options.path("--route", "routes_file", help="Score the recordings along a route of FILE.")
+    route_id: str | None = option("--route-id", metavar="ID", help="The id of the route; else the only one of the town.")
+    from_drive: bool = flag("--from-drive", help="Score them without a route, along the driven path.")
+    measure: str | None = option(
+        "--measure",
+        metavar="NAME",
+        help="What the runs are compared by; else the time to collision (see `measures`), or the objective.",
+    )
+    is_search: bool = flag("--search", "is_search", help="Choose values from ranges, towards the objective.")
+    minimize: str | None = option(
+        "--minimize", metavar="NAME", help="The objective: a measure, such as ttc, or collisions, to be small."
+    )
+    maximize: str | None = option("--maximize", metavar="NAME", help="The same, to be great.")
+    count: int = option("--runs", "count", type=click.IntRange(1, 100_000), default=100, help="Runs of a search.")
+    report: str | None = options.path(
+        "--report", metavar="DIR", help="The folder of the page and the index; else that of --out."
+    )
+    pages: int = option(
+        "--pages", type=click.IntRange(0, 1000), default=20, metavar="N", help="Incident pages of the worst."
+    )
+    road_map: str | None = options.road_map
+    form: str | None = together(options.json, options.csv)
+
+    @property
+    def objective(self) -> str | None:
+        """The name of what a search minimizes or maximizes."""
+        return self.minimize or self.maximize
+
+    def scoring(self) -> Scoring | None:
+        """Return how the recordings are scored; None if they are not."""
+        from carla_recap.fleet.campaign.results import Scoring
+        from carla_recap.queries.score import read_routes
+
+        if self.routes_file is not None and self.from_drive:
+            raise click.UsageError("either --route or --from-drive was expected.")
+        if self.routes_file is None and self.route_id is not None:
+            raise click.UsageError("--route-id goes with --route.")
+        if self.routes_file is not None:
+            return Scoring(tuple(read_routes(self.routes_file)), self.route_id, self.road_map)
+        return Scoring(None, road_map=self.road_map) if self.from_drive else None
+
+    def folder_of_report(self) -> Path | None:
+        """Return the folder of pages; None if the recordings go to an object store, and none was given."""
+        from carla_recap.formats.sources import is_remote
+        from carla_recap.util.files import made_folder
+
+        if self.report is None and is_remote(self.out):
+            return None
+        folder = Path(self.report or self.out)
+        with made_folder(folder):
+            return folder
+
+
+@command(
+    options.described_by(CampaignRequest),
+    options.gathered("request", lambda: CampaignRequest),
 )
-@options.carla
-@click.option(
-    "--python",
-    type=click.Path(exists=True, dir_okay=False, executable=True),
-    metavar="PATH",
-    help="The interpreter of SCRIPT.py, such as that of an environment with another client; else this one.",
-)
-@click.option("--out", required=True, metavar="DIR", help="The folder of the recordings, or a prefix of an object store.")
-@click.option("--seeds", default="1", show_default=True, metavar="A:B|N,...", help="The seeds of the worlds.")
-@click.option(
-    "--param", "params", multiple=True, metavar="NAME=V,...", help="Values of a parameter, or a range A..B to search."
-)
-@click.option("--town", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
-@click.option("--duration", type=NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns.")
-@options.additional_data
-@click.option("--again", is_flag=True, help="Make recordings anew that another function, code, town or duration has made.")
-@click.option("--keep-going", is_flag=True, help="Go on when as many runs in a row as there are workers have failed.")
-@click.option(
-    "--limit", type=POSITIVE, metavar="S", help="End a run that takes more wall-clock seconds; else none is ended."
-)
-@click.option(
-    "--workers", "jobs", type=click.IntRange(1, 10_000), metavar="N", help="Worker processes; else one for each processor."
-)
-@click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster with this scheduler.")
-@click.option(
-    "--rules", "rules_file", type=click.Path(), metavar="FILE", help="Check the recordings by the rules of a TOML file."
-)
-@click.option(
-    "--route", "routes_file", type=click.Path(), metavar="FILE", help="Score the recordings along a route of FILE."
-)
-@click.option("--route-id", metavar="ID", help="The id of the route; else the only one of the town.")
-@click.option("--from-drive", is_flag=True, help="Score them without a route, along the driven path.")
-@click.option(
-    "--measure",
-    metavar="NAME",
-    help="What the runs are compared by; else the time to collision (see `measures`), or the objective.",
-)
-@click.option("--search", "is_search", is_flag=True, help="Choose values from ranges, towards the objective.")
-@click.option("--minimize", metavar="NAME", help="The objective: a measure, such as ttc, or collisions, to be small.")
-@click.option("--maximize", metavar="NAME", help="The same, to be great.")
-@click.option("--runs", "count", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Runs of a search.")
-@click.option("--report", type=click.Path(), metavar="DIR", help="The folder of the page and the index; else that of --out.")
-@click.option(
-    "--pages", type=click.IntRange(0, 1000), default=20, show_default=True, metavar="N", help="Incident pages of the worst."
-)
-@options.road_map
-@options.json
-@options.csv
-@options.gathered("request", lambda: CampaignRequest)
-def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
+def campaign(request: CampaignRequest) -> NoReturn:
     """Run a simulation with many seeds and parameters, each run a recording, and compare them.
 
     FUNCTION is called as function(world, NAME=VALUE) with a World that is recorded. Recordings that are in DIR are not made
@@ -102,7 +149,7 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
 
     if (request.function is None) == (request.script is None):
         raise click.UsageError("either FILE.py:FUNCTION or --serve SCRIPT.py was expected.")
-    if request.script is None and how["python"] is not None:
+    if request.script is None and request.python is not None:
         raise click.UsageError("--python goes with --serve.")
     if request.is_search and (request.minimize is None) == (request.maximize is None):
         raise click.UsageError("--search needs either --minimize or --maximize.")
@@ -113,10 +160,11 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
     if compared is SCORE and scoring is None:
         raise click.UsageError("a score needs --route or --from-drive.")
     rules = None if request.rules_file is None else loaded_rules(request.rules_file)
-    if how["town"] is not None:
-        load_town(how["town"])  # whose error would be that of each run
+    if request.town is not None:
+        load_town(request.town)  # whose error would be that of each run
     values = _parameters(request.params, is_search=request.is_search)
-    made = Campaign(function=_function(request, [*values]), out=request.out, jobs=request.jobs, scoring=scoring, **how)
+    how: dict[str, Any] = {name: getattr(request, name) for name in _OF_CAMPAIGNS}
+    made = Campaign(function=_function(request, [*values]), scoring=scoring, **how)
     rows: list[FinishedRun] = []
     with ExitStack() as stack:
         processes: Processes = {"jobs": request.jobs, "client": stack.enter_context(cluster(request.dask))}
@@ -148,62 +196,6 @@ def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
         + (f"; {counted(broken, 'recording')} of {len(rows) - failed} break rules" if rules is not None else "")
     )
     end(failed=failed, unmet=broken)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CampaignRequest:
-    """The arguments and options of the command that are not passed on to `Campaign` as they are."""
-
-    function: str | None
-    script: str | None
-    out: str
-    seeds: str
-    params: tuple[str, ...]
-    jobs: int | None
-    dask: str | None
-    rules_file: str | None
-    routes_file: str | None
-    route_id: str | None
-    from_drive: bool
-    measure: str | None
-    is_search: bool
-    minimize: str | None
-    maximize: str | None
-    count: int
-    report: str | None
-    pages: int
-    road_map: str | None
-    form: str | None
-    keep_going: bool
-
-    @property
-    def objective(self) -> str | None:
-        """The name of what a search minimizes or maximizes."""
-        return self.minimize or self.maximize
-
-    def scoring(self) -> Scoring | None:
-        """Return how the recordings are scored; None if they are not."""
-        from carla_recap.fleet.campaign.results import Scoring
-        from carla_recap.queries.score import read_routes
-
-        if self.routes_file is not None and self.from_drive:
-            raise click.UsageError("either --route or --from-drive was expected.")
-        if self.routes_file is None and self.route_id is not None:
-            raise click.UsageError("--route-id goes with --route.")
-        if self.routes_file is not None:
-            return Scoring(tuple(read_routes(self.routes_file)), self.route_id, self.road_map)
-        return Scoring(None, road_map=self.road_map) if self.from_drive else None
-
-    def folder_of_report(self) -> Path | None:
-        """Return the folder of pages; None if the recordings go to an object store, and none was given."""
-        from carla_recap.formats.sources import is_remote
-        from carla_recap.util.files import made_folder
-
-        if self.report is None and is_remote(self.out):
-            return None
-        folder = Path(self.report or self.out)
-        with made_folder(folder):
-            return folder
 
 
 def _parameters(params: Sequence[str], *, is_search: bool) -> dict[str, Sequence[Value] | ParameterRange]:

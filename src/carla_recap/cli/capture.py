@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from carla_recap.cli import options
+from carla_recap.cli.options import FOLLOW, NUMBER, command, option
 from carla_recap.cli.output import counted, end, note, wrote
-from carla_recap.cli.parameter_types import FOLLOW, NUMBER
 from carla_recap.cli.progress import watch_ticks
 from carla_recap.util.text import first_of
 
@@ -18,27 +18,28 @@ if TYPE_CHECKING:
 
 
 _server = options.together(
-    click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="The server's address."),
-    click.option("--port", type=click.IntRange(1, 65535), default=2000, show_default=True, help="Its port."),
+    option("--host", default="127.0.0.1", metavar="ADDRESS", help="The server's address."),
+    option("--port", type=click.IntRange(1, 65535), default=2000, help="Its port."),
 )
 
 
-@click.command()
-@options.destination
-@_server
-@click.option(
-    "--duration",
-    type=NUMBER,
-    default=math.inf,
-    metavar="S",
-    help="Simulated s to record; else until Ctrl-C.",
+def _seconds(what: str) -> Any:
+    """Return the option for how long."""
+    words = f"Simulated s to {what}; else until Ctrl-C."
+    return option("--duration", type=NUMBER, default=math.inf, show_default=False, metavar="S", help=words)
+
+
+@command(
+    options.destination,
+    _server,
+    _seconds("record"),
+    options.additional_data,
+    options.rig("Spawn the sensors of this JSON file, and record what they send."),
+    options.carrier,
+    option("--sensors", type=click.Choice(["existing"]), help="Record what the sensors send that are there already."),
+    options.force,
+    options.written,
 )
-@options.additional_data
-@options.rig("Spawn the sensors of this JSON file, and record what they send.")
-@options.carrier
-@click.option("--sensors", type=click.Choice(["existing"]), help="Record what the sensors send that are there already.")
-@options.force
-@options.written
 def capture(
     destination: str,
     duration: float,
@@ -79,34 +80,30 @@ def _layouts(path: str) -> list[str]:
         return hints_of(write_layouts(path, passed_topics(recording.reader)))
 
 
-@click.command()
-@_server
-@click.option("--duration", type=NUMBER, default=math.inf, metavar="S", help="Simulated s to show; else until Ctrl-C.")
-@options.force
-@click.option(
-    "--to", metavar="FILE|URL", help="Write an .rrd, or send to the viewer at rerun+http://...; else one is opened."
+@command(
+    _server,
+    _seconds("show"),
+    options.force,
+    option("--to", metavar="FILE|URL", help="Write an .rrd, or send to the viewer at rerun+http://...; else one is opened."),
+    option(
+        "--follow",
+        type=FOLLOW,
+        default="hero",
+        metavar="ID|hero",
+        help="The actor to follow; without a hero, one that moves.",
+    ),
+    options.camera,
+    options.models,
+    options.foxglove,
 )
-@click.option(
-    "--follow",
-    type=FOLLOW,
-    default="hero",
-    show_default=True,
-    metavar="ID|hero",
-    help="The actor to follow; without a hero, one that moves.",
-)
-@options.camera
-@options.models
-@options.foxglove
 def watch(
     to: str | None,
-    foxglove: bool,
     foxglove_port: int | None,
     **given: Any,
 ) -> None:
     """Show what a CARLA server does live, in Rerun's viewer or in Foxglove."""
     from carla_recap.capture.live import watch as run
 
-    foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
     if foxglove_port is not None and to is not None:
         raise click.UsageError("--to goes with Rerun's viewer.")
     why = run(to, foxglove_port=foxglove_port, ready=click.echo, **given)

@@ -1,7 +1,8 @@
-"""The command that checks recordings by rules, for continuous integration."""
+"""The commands that judge recordings: by rules, for continuous integration, and by ScenarioRunner's metrics."""
 
 from __future__ import annotations
 
+import traceback
 from contextlib import closing, nullcontext
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,8 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, SourcesRequest
-from carla_recap.cli.output import counted, emit, end, fail, indented, wrote
+from carla_recap.cli.options import command, flag
+from carla_recap.cli.output import counted, emit, end, fail, indented, warn, wrote
 from carla_recap.output.terminal import TableColumn, print_table
 from carla_recap.util.signals import unwind_on_termination
 from carla_recap.util.text import visible
@@ -32,32 +34,21 @@ _COLUMNS: Final = (
 )
 
 
-@click.command()
-@options.sources
-@click.option("--rules", "rules_file", required=True, type=click.Path(), metavar="FILE", help="The rules, a TOML file.")
-@click.option("--junit", type=click.Path(), metavar="FILE", help="Write the verdicts as JUnit XML, over those of before.")
-@click.option(
-    "--html", type=click.Path(), metavar="DIR", help="Write an overview, and the incident page of each recording that fails."
-)
-@click.option("--clips", is_flag=True, help="Cut a clip of the first offence of each of these, too.")
-@click.option("--strict", "is_strict", is_flag=True, help="Rules fail that have nothing to judge, as without their actors.")
-@options.road_map
-@options.force
-@options.jobs
-@options.dask
-@options.json
-@options.plain
-@options.gathered("request", lambda: SourcesRequest)
+@command()
 def check(
-    request: SourcesRequest,
-    rules_file: str,
-    junit: str | None,
-    html: str | None,
-    clips: bool,
-    is_strict: bool,
-    road_map: str | None,
-    force: bool,
-    form: str | None,
+    sources: tuple[str, ...] = options.sources,
+    rules_file: str = options.path("--rules", "rules_file", required=True, help="The rules, a TOML file."),
+    junit: str | None = options.path("--junit", help="Write the verdicts as JUnit XML, over those of before."),
+    html: str | None = options.path(
+        "--html", metavar="DIR", help="Write an overview, and the incident page of each recording that fails."
+    ),
+    clips: bool = flag("--clips", help="Cut a clip of the first offence of each of these, too."),
+    is_strict: bool = flag("--strict", "is_strict", help="Rules fail that have nothing to judge, as without their actors."),
+    road_map: str | None = options.road_map,
+    force: bool = options.force,
+    jobs: int | None = options.jobs,
+    dask: str | None = options.dask,
+    form: str | None = options.json_or_text,
 ) -> NoReturn:
     """Check recordings by rules.
 
@@ -79,7 +70,7 @@ def check(
     try:
         check_each = partial(check_sources, rules=rules, road_map=road_map)
         with unwind_on_termination(), nullcontext() if html is None else new_folder(html, force=force) as room:
-            with request.reading("checking", check_each) as (given, messages):
+            with SourcesRequest(sources=sources, jobs=jobs, dask=dask).reading("checking", check_each) as (given, messages):
                 for each in given:
                     judged.append(strict(each) if is_strict else each)
                     messages.add(each.recording, each.warnings)
@@ -87,7 +78,7 @@ def check(
             shown = (
                 judged
                 if room is None
-                else _write_pages(judged, rules, room, messages, html, clips=clips, road_map=road_map, jobs=request.jobs)
+                else _write_pages(judged, rules, room, messages, html, clips=clips, road_map=road_map, jobs=jobs)
             )
         checked = shown if html is None else [each.in_folder(html) for each in shown]
         messages.end()
@@ -195,3 +186,36 @@ def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any
 
 def _seconds(time: float | None) -> str:
     return "" if time is None else f"{time:.2f} s"
+
+
+@command()
+def metrics(
+    metric: str = options.path("--metric", required=True, help="The metric, a .py file."),
+    source: str = options.path("--log", "source", required=True, help="The recording."),
+    criteria: str | None = options.path("--criteria", help="A JSON file of criteria, as ScenarioRunner writes it."),
+    road_map: str | None = options.road_map,
+) -> None:
+    """Run a metric that was written for ScenarioRunner, without a server.
+
+    The file of the metric runs as it is, whether or not ScenarioRunner is installed. If it raises an error, the exit code
+    is 1.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.metrics import MetricsLog, run_metric
+    from carla_recap.queries.roads import find_map_of
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        opendrive = find_map_of(recording.reader, road_map)
+        if opendrive is None:
+            warn(f"no map for {recording.header.map_name!r}: the metric's town_map is None; --map names the file")
+        try:
+            run_metric(metric, MetricsLog(recording), opendrive=opendrive, criteria=criteria)
+        except RecapError:
+            raise
+        except Exception as error:
+            trace = error.__traceback__
+            while trace is not None and Path(trace.tb_frame.f_code.co_filename).name != Path(metric).name:
+                trace = trace.tb_next
+            traceback.print_exception(type(error), error, trace)
+            end(unmet=True)

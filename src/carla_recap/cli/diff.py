@@ -7,48 +7,35 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-import click
-
 from carla_recap.cli import opening, options
+from carla_recap.cli.options import NUMBER, argument, command, option
 from carla_recap.cli.output import counted, emit, end, wrote
-from carla_recap.cli.parameter_types import NUMBER
-from carla_recap.cli.progress import watch_scenes
+from carla_recap.cli.progress import watch
 
 if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
     from carla_recap.recording import Recording
 
 
-@click.command()
-@click.argument("first", type=click.Path(), metavar="A")
-@click.argument("second", type=click.Path(), metavar="B")
-@click.option(
-    "--tolerance", type=NUMBER, default=0, show_default=True, metavar="M", help="The distance that is equal, in m."
-)
-@click.option(
-    "--time-tolerance",
-    type=NUMBER,
-    metavar="S",
-    help="The time that is equal, of spawns, lights and events, in s; 0, or 1 with a tolerance.",
-)
-@click.option("--events/--no-events", default=True, help="Compare incidents, too; by default it does.")
-@click.option("--rrd", type=click.Path(), metavar="OUT.rrd", help="Write A for Rerun, with B as a ghost.")
-@click.option("--html", type=click.Path(), metavar="OUT.html", help="Write a page of A, with B as a ghost.")
-@options.road_map
-@options.force
-@options.json
-@options.plain
+@command()
 def diff(
-    first: str,
-    second: str,
-    tolerance: float,
-    time_tolerance: float | None,
-    events: bool,
-    rrd: str | None,
-    html: str | None,
-    road_map: str | None,
-    force: bool,
-    form: str | None,
+    first: str = argument("first", "A"),
+    second: str = argument("second", "B"),
+    tolerance: float = option("--tolerance", type=NUMBER, default=0, metavar="M", help="The distance that is equal, in m."),
+    time_tolerance: float | None = option(
+        "--time-tolerance",
+        type=NUMBER,
+        metavar="S",
+        help="The time that is equal, of spawns, lights and events, in s; 0, or 1 with a tolerance.",
+    ),
+    events: bool = option(
+        "--events/--no-events", default=True, show_default=False, help="Compare incidents, too; by default it does."
+    ),
+    rrd: str | None = options.path("--rrd", metavar="OUT.rrd", help="Write A for Rerun, with B as a ghost."),
+    html: str | None = options.path("--html", metavar="OUT.html", help="Write a page of A, with B as a ghost."),
+    road_map: str | None = options.road_map,
+    force: bool = options.force,
+    form: str | None = options.json_or_text,
 ) -> NoReturn:
     """Compare two recordings of a scenario.
 
@@ -78,13 +65,13 @@ def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, f
     from carla_recap.show.rerun.export import export_rerun
 
     roads = opening.road_map_of(a, road_map)
-    played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))
+    played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch("exporting"))
     wrote(path, frames=played.frames, seconds=played.seconds)
 
 
 def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_map: str | None, *, force: bool) -> None:
     from carla_recap.show.page import write_report
 
-    progress, town = watch_scenes("sampling"), opening.town_of(a, road_map)
+    progress, town = watch("sampling"), opening.town_of(a, road_map)
     written = write_report(a, path, other=b, differences=found, town=town, force=force, progress=progress)
     wrote(path, counted(written.incidents, "incident"), size=written.size, incidents=written.incidents)

@@ -10,8 +10,6 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, distributions, requires, version
 from typing import TYPE_CHECKING, Any, Final
 
-import click
-
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, emit, indented
 from carla_recap.errors import install_command
@@ -30,9 +28,8 @@ _ON_PROCESSOR: Final = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|softwar
 _MB: Final = 1e6
 
 
-@click.command()
-@options.json
-def doctor(form: str | None) -> None:
+@options.command()
+def doctor(form: str | None = options.json) -> None:
     """Print what this installation has, for questions and reports of faults.
 
     These are the versions, the device that draws pictures, the extras, the maps and the cache. What is missing is no error:

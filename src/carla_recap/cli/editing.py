@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import click
 
 from carla_recap.cli import opening, options
+from carla_recap.cli.options import DATE, argument, command, option
 from carla_recap.cli.output import wrote
-from carla_recap.cli.parameter_types import DATE
 from carla_recap.cli.progress import watch
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.fleet.outcomes import WrittenFile
 
-_format = click.option(
-    "--to",
-    "--format",
-    "suffix",
-    type=click.Choice(["mcap", "log"]),
-    help="The format of files in a folder, by default mcap; a single file has the one of its suffix.",
+_FACTS: Final = ("lost_frames", "lost_packets", "lost_bytes", "finished", "headless", "without_events")
+"""What JSON has of a recovery."""
+_format = options.format_of_files(["mcap", "log"])
+
+
+@command(
+    writes,
+    _format,
 )
-
-
-@click.command()
-@writes
-@_format
 def convert(request: WriteRequest, suffix: str | None) -> None:
     """Write recordings in another format: one to a file, whose suffix says which; many to a folder.
 
@@ -34,19 +31,21 @@ def convert(request: WriteRequest, suffix: str | None) -> None:
     request.write(_convert, suffix, "mcap", "converting")
 
 
-@click.command()
-@writes
-@_format
+@command(
+    writes,
+    _format,
+)
 def recover(request: WriteRequest, suffix: str | None) -> None:
     """Save what is intact in recordings that are damaged, or were never finished."""
     request.write(_recover, suffix, "mcap", "recovering")
 
 
-@click.command()
-@writes
-@_format
-@options.start
-@options.duration
+@command(
+    writes,
+    _format,
+    options.start,
+    options.duration,
+)
 def clip(request: WriteRequest, suffix: str | None, **given: Any) -> None:
     """Cut a part out of recordings.
 
@@ -66,17 +65,8 @@ def _recover(source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.editing.recover import recover as run
 
     result = run(source, destination, force=force, progress=watch("recovering"))
-    lost = {"lost_frames": result.lost_frames, "lost_packets": result.lost_packets, "lost_bytes": result.lost_bytes}
-    notes, facts = (
-        tuple(result.losses or ["nothing lost"]),
-        {
-            **lost,
-            "finished": result.finished,
-            "headless": result.headless,
-            "without_events": result.without_events,
-        },
-    )
-    return WrittenFile(notes, result.frames, result.duration, facts=facts)
+    facts = {name: getattr(result, name) for name in _FACTS}
+    return WrittenFile(tuple(result.losses or ["nothing lost"]), result.frames, result.duration, facts=facts)
 
 
 def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
@@ -87,45 +77,40 @@ def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> 
     return WrittenFile(frames=extent.frames, seconds=extent.duration)
 
 
-@click.command(name="import")
-@click.argument("source", type=click.Path(), metavar="CSV")
-@options.destination
-@click.option("--map-name", default="", metavar="NAME", help="The name of the map, such as Town01.")
-@click.option("--date", type=DATE, help="The beginning, such as 2024-05-01T12:30; else Unix times of the file, or 1970.")
-@click.option("--hero", metavar="ID", help="The object with the role name hero.")
-@click.option(
-    "--column",
-    "columns",
-    multiple=True,
-    metavar="NAME=COLUMN",
-    help="The name that a column has in the file, such as x=east; may be repeated.",
+@command(
+    argument("source", "CSV"),
+    options.destination,
+    click.option("--map-name", default="", metavar="NAME", help="The name of the map, such as Town01."),
+    option("--date", type=DATE, help="The beginning, such as 2024-05-01T12:30; else Unix times of the file, or 1970."),
+    option("--hero", metavar="ID", help="The object with the role name hero."),
+    option(
+        "--column",
+        "columns",
+        multiple=True,
+        metavar="NAME=COLUMN",
+        help="The name that a column has in the file, such as x=east; may be repeated.",
+    ),
+    option("--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), help="Else s; of a column total_nanos, ns."),
+    option("--length-unit", type=click.Choice(["m", "cm", "ft"]), default="m"),
+    option("--rate", type=float, metavar="HZ", help="The frames of a second, if times are numbers of frames."),
+    option(
+        "--position",
+        type=click.Choice(["center", "corner", "front"]),
+        default="center",
+        help="What x and y are of a box; with corner, width and height are its extents along x and y (highD).",
+    ),
+    option("--angle-unit", type=click.Choice(["deg", "rad"]), default="deg"),
+    option(
+        "--axes",
+        type=click.Choice(["right-handed", "carla"]),
+        default="right-handed",
+        help="Right-handed: y to the left, a positive yaw turns left; carla: y to the right.",
+    ),
+    options.force,
+    options.written,
+    name="import",
 )
-@click.option("--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), help="Else s; of a column total_nanos, ns.")
-@click.option("--length-unit", type=click.Choice(["m", "cm", "ft"]), default="m", show_default=True)
-@click.option("--rate", type=float, metavar="HZ", help="The frames of a second, if times are numbers of frames.")
-@click.option(
-    "--position",
-    type=click.Choice(["center", "corner", "front"]),
-    default="center",
-    show_default=True,
-    help="What x and y are of a box; with corner, width and height are its extents along x and y (highD).",
-)
-@click.option("--angle-unit", type=click.Choice(["deg", "rad"]), default="deg", show_default=True)
-@click.option(
-    "--axes",
-    type=click.Choice(["right-handed", "carla"]),
-    default="right-handed",
-    show_default=True,
-    help="Right-handed: y to the left, a positive yaw turns left; carla: y to the right.",
-)
-@options.force
-@options.written
-def import_(
-    source: str,
-    destination: str,
-    columns: tuple[str, ...],
-    **given: Any,
-) -> None:
+def import_(source: str, destination: str, columns: tuple[str, ...], **given: Any) -> None:
     """Make a recording of tracks: a CSV file with a row for each object at each time.
 
     Its columns are found by their names: time, id, x and y; and, if it has them, z, roll, pitch, yaw, vx, vy, vz, length,

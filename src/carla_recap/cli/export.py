@@ -13,9 +13,9 @@ from click.core import ParameterSource
 
 from carla_recap.cli import opening, options
 from carla_recap.cli.check import loaded_rules
+from carla_recap.cli.options import PORT, POSITIVE, SIZE, TIME, argument, command, flag, option
 from carla_recap.cli.output import counted, json_of_written, note, wrote
-from carla_recap.cli.parameter_types import POSITIVE, SIZE, TIME
-from carla_recap.cli.progress import watch_all, watch_incidents, watch_scenes
+from carla_recap.cli.progress import watch, watch_incidents
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.exports import FORMATS, find_format, write_part
 from carla_recap.exports import export as write_export
@@ -38,26 +38,26 @@ _window = options.together(options.follow, options.start, options.duration, opti
 _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" for form in FORMATS.values())
 
 
-@click.command(
+@command(
+    writes,
+    option("--to", "--format", "to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it."),
+    _window,
+    options.camera,
+    options.shown_kinds,
+    options.path("--rules", help="Show the verdicts of these rules, too; see check."),
+    options.models,
+    options.path("--cameras", metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun)."),
+    options.rig("Sensors, as JSON: of a dataset, or of rosbag2 besides."),
+    options.sensing,
+    options.dataset,
     help=f"""Write recordings for viewers, or as tables or traces for other programs.
 
     \b
 {_LIST}
 
     SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder; of a dataset, together.
-    """
+    """,
 )
-@writes
-@click.option("--to", "--format", "to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it.")
-@_window
-@options.camera
-@options.shown_kinds
-@click.option("--rules", type=click.Path(), metavar="FILE", help="Show the verdicts of these rules, too; see check.")
-@options.models
-@click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
-@options.rig("Sensors, as JSON: of a dataset, or of rosbag2 besides.")
-@options.sensing
-@options.dataset
 def export(
     request: WriteRequest,
     to: str | None,
@@ -103,7 +103,7 @@ def _export_dataset(
 def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name: str) -> WrittenFile:
     with opening.opened_part(source, shown) as (recording, part):
         given = {key: value for key, value in part.items() if key in FORMATS[to].options and value is not None}
-        done = write_part(recording, folder, to=to, name=name, progress=watch_scenes("sensing"), **given)
+        done = write_part(recording, folder, to=to, name=name, progress=watch("sensing"), **given)
     return WrittenFile(frames=done.frames, seconds=done.seconds)
 
 
@@ -125,33 +125,30 @@ def _export(
             from carla_recap.rules.rule_sets import check
 
             given["verdicts"] = check(recording, rules, road_map=shown["road_map"])
-        done = write_export(recording, destination, to=name, progress=watch_all("exporting"), force=force, **given)
+        done = write_export(recording, destination, to=name, progress=watch("exporting"), force=force, **given)
     if done.files is None:
         return WrittenFile(frames=done.frames, seconds=done.seconds, hints=done.hints)
     count = len(done.files)
     return WrittenFile((counted(count, "file"),), done.frames, done.seconds, facts={"files": count}, hints=done.hints)
 
 
-@click.command()
-@options.source
-@options.folder
-@options.force
-@options.kinds
-@options.before
-@options.after
-@click.option(
-    "--to", "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
+@command(
+    options.source,
+    argument("folder", "DIR"),
+    options.force,
+    options.kinds,
+    options.before,
+    options.after,
+    option("--to", "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", help="Of the clips."),
+    option(
+        "--rrd/--no-rrd", "rerun", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed."
+    ),
+    flag("--video", help="Write a video beside each clip."),
+    options.models,
+    options.incident_options,
+    option("--limit", type=click.IntRange(min=1), default=100, metavar="N", help="The largest number of clips."),
+    options.written,
 )
-@click.option(
-    "--rrd/--no-rrd", "rerun", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed."
-)
-@click.option("--video", is_flag=True, help="Write a video beside each clip.")
-@options.models
-@options.incident_options
-@click.option(
-    "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
-)
-@options.written
 def clips(
     source: str,
     folder: str,
@@ -190,23 +187,21 @@ def _facts(clip: IncidentClip) -> dict[str, Any]:
     return {"kind": clip.incident.kind, "incident": clip.incident.text, "start": clip.incident.start, **others}
 
 
-@click.command()
-@options.source
-@_window
-@options.camera
-@options.models
-@click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
-@click.option(
-    "--web-port", type=click.IntRange(0, 65535), metavar="N", help="The same at this port; --web alone takes any free one."
+@command(
+    options.source,
+    _window,
+    options.camera,
+    options.models,
+    flag("--web", help="Serve the viewer to a browser on this machine."),
+    option("--web-port", type=PORT, metavar="N", help="The same at this port; --web alone takes any free one."),
+    options.foxglove,
 )
-@options.foxglove
 def view(
     source: str,
     road_map: str | None,
     view: View,
     web: bool,
     web_port: int | None,
-    foxglove: bool,
     foxglove_port: int | None,
     **shown: Any,
 ) -> None:
@@ -214,40 +209,40 @@ def view(
 
     SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
-    port = options.foxglove_port_of(foxglove, foxglove_port)
     for name in ("view", "web", "web_port"):
-        if port is not None and _is_given(name):
+        if foxglove_port is not None and _is_given(name):
             raise click.UsageError(f"--{name.replace('_', '-')} goes with Rerun's viewer.")
     with opening.opened_part(source, shown) as (recording, part):
         roads = opening.road_map_of(recording, road_map, part["start"], part["duration"])
-        if port is None:
+        if foxglove_port is None:
             from carla_recap.show.rerun.viewer import view as open_viewer
             from carla_recap.tables.arrow import spare_pandas
 
             spare_pandas()
             how: dict[str, Any] = {"view": view, "web": web or web_port is not None, "web_port": web_port or 0, **part}
-            open_viewer(recording, road_map=roads, progress=watch_scenes("exporting"), ready=_announce, **how)
+            open_viewer(recording, road_map=roads, progress=watch("exporting"), ready=_announce, **how)
         else:
             from carla_recap.show.foxglove import connection_hints
             from carla_recap.show.foxglove.websocket import serve_recording
 
             ready = partial(_announce, hints=connection_hints(recording.location))
-            serve_recording(recording, road_map=roads, progress=watch_scenes("searching"), port=port, ready=ready, **part)
+            serve_recording(recording, road_map=roads, progress=watch("searching"), port=foxglove_port, ready=ready, **part)
 
 
-@click.command()
-@options.source
-@options.destination
-@click.option("--at", type=TIME, metavar="S", help="The moment, in s; negative: before the end. Or as SRC#t=S.")
-@options.follow
-@options.any_view
-@options.road_map
-@click.option("--size", type=SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
-@options.overlay
-@options.shown_kinds
-@options.models
-@options.force
-@options.written
+@command(
+    options.source,
+    options.destination,
+    option("--at", type=TIME, metavar="S", help="The moment, in s; negative: before the end. Or as SRC#t=S."),
+    options.follow,
+    options.any_view,
+    options.road_map,
+    option("--size", type=SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own."),
+    options.overlay,
+    options.shown_kinds,
+    options.models,
+    options.force,
+    options.written,
+)
 def snapshot(
     source: str,
     destination: str,
@@ -268,35 +263,35 @@ def snapshot(
     wrote(destination, f"a picture at {number(time)} s", time=time)
 
 
-@click.command()
-@writes
-@click.option(
-    "--to",
-    "--format",
-    "suffix",
-    type=click.Choice(["mp4", "gif"]),
-    help="The format of files in a folder, by default mp4; a single file has the one of its suffix.",
+@command(
+    writes,
+    options.format_of_files(["mp4", "gif"]),
+    options.any_view,
+    option(
+        "--camera",
+        "cameras",
+        multiple=True,
+        metavar="ID",
+        help="Film by a camera of the recording or of --rig.",
+    ),
+    flag("--grid", help="Film by all cameras of the recording, or of --rig, side by side."),
+    options.rig("Sensors on the hero, or --follow, as JSON."),
+    _window,
+    option(
+        "--speed",
+        type=POSITIVE,
+        default=1,
+        show_default=False,
+        metavar="X",
+        help="2: twice as fast as it happened; 0.25: in slow motion.",
+    ),
+    option("--size", type=SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own."),
+    option("--fps", "rate", type=POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5."),
+    flag("--smooth", help="Draw smooth edges, which takes about twice as long."),
+    options.overlay,
+    options.shown_kinds,
+    options.models,
 )
-@options.any_view
-@click.option(
-    "--camera",
-    "cameras",
-    multiple=True,
-    metavar="ID",
-    help="Film by a camera of the recording or of --rig.",
-)
-@click.option("--grid", is_flag=True, help="Film by all cameras of the recording, or of --rig, side by side.")
-@options.rig("Sensors on the hero, or --follow, as JSON.")
-@_window
-@click.option(
-    "--speed", type=POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
-)
-@click.option("--size", type=SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own.")
-@click.option("--fps", "rate", type=POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
-@click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
-@options.overlay
-@options.shown_kinds
-@options.models
 def video(
     request: WriteRequest,
     suffix: str | None,
@@ -324,21 +319,22 @@ def _video(shown: dict[str, Any], source: str, destination: str, force: bool) ->
 
     with opening.opened_part(source, shown) as (recording, part):
         town = partial(opening.town_of, recording, part["road_map"], part["start"], part["duration"])
-        written = export_video(recording, destination, town=town, progress=watch_scenes("filming"), force=force, **part)
+        written = export_video(recording, destination, town=town, progress=watch("filming"), force=force, **part)
     width, height = written.size
     facts = {"width": width, "height": height}
     return WrittenFile((f"{width}x{height}",), written.frames, written.seconds, facts=facts)
 
 
-@click.command()
-@writes
-@options.rig("The sensors, as JSON.", is_required=True)
-@options.start
-@options.duration
-@options.sensing
-@options.road_map
-@click.option("--video", is_flag=True, help="Write RGB images as H.264, which takes less room, instead of as JPEGs.")
-@options.models
+@command(
+    writes,
+    options.rig("The sensors, as JSON.", is_required=True),
+    options.start,
+    options.duration,
+    options.sensing,
+    options.road_map,
+    flag("--video", help="Write RGB images as H.264, which takes less room, instead of as JPEGs."),
+    options.models,
+)
 def sense(request: WriteRequest, **given: Any) -> None:
     """Write recordings with what the sensors of a rig would have measured: .mcap files.
 
@@ -356,36 +352,36 @@ def _sense(given: dict[str, Any], source: str, destination: str, force: bool) ->
         from carla_recap.show.foxglove.layouts import hints_of
         from carla_recap.show.foxglove.sensed import export_sensed
 
-        done = export_sensed(recording, destination, force=force, progress=watch_scenes("sensing"), **part)
+        done = export_sensed(recording, destination, force=force, progress=watch("sensing"), **part)
     samples = sum(done.samples.values())
     notes = counted(len(done.samples), "sensor"), counted(samples, "sample")
     facts = {"samples": dict(done.samples), "layouts": [str(path) for path in done.layouts.values()]}
     return WrittenFile(notes, done.frames, done.seconds, facts=facts, hints=tuple(hints_of(done.layouts)))
 
 
-@click.command()
-@writes
-@options.shown_kinds
-@click.option("--compare", metavar="OTHER", type=click.Path(), help="A second recording to show beside it, or over it.")
-@options.before
-@options.after
-@click.option(
-    "--pictures",
-    type=click.Choice(["drawn", "rendered", "none"]),
-    default="drawn",
-    show_default=True,
-    help="Of incidents: drawn from above, or rendered from behind.",
+@command(
+    writes,
+    options.shown_kinds,
+    options.path("--compare", metavar="OTHER", help="A second recording to show beside it, or over it."),
+    options.before,
+    options.after,
+    option(
+        "--pictures",
+        type=click.Choice(["drawn", "rendered", "none"]),
+        default="drawn",
+        help="Of incidents: drawn from above, or rendered from behind.",
+    ),
+    option(
+        "--camera",
+        metavar="ID",
+        help="The camera whose recorded images are beside the map; by default, the one that looks ahead.",
+    ),
+    flag("--viewer", help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server."),
+    flag("--serve", help="Serve the folder to a browser on this machine, until Ctrl-C."),
+    option("--port", type=PORT, metavar="N", help="The port to serve at; else any free one."),
+    options.models,
+    options.incident_options,
 )
-@click.option(
-    "--camera",
-    metavar="ID",
-    help="The camera whose recorded images are beside the map; by default, the one that looks ahead.",
-)
-@click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
-@click.option("--serve", is_flag=True, help="Serve the folder to a browser on this machine, until Ctrl-C.")
-@click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
-@options.models
-@options.incident_options
 def report(
     request: WriteRequest,
     compare: str | None,
@@ -447,7 +443,7 @@ def _report(
             other=others[0] if others else None,
             road_map=opening.road_map_of(recording, wanted.road_map) if viewer else None,
             viewer=viewer,
-            progress=watch_scenes("sampling"),
+            progress=watch("sampling"),
             force=force,
             **shown,
         )

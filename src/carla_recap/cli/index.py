@@ -14,9 +14,8 @@ from json import JSONEncoder
 from types import NoneType
 from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeVar
 
-import click
-
 from carla_recap.cli import options
+from carla_recap.cli.options import argument, command, flag, together
 from carla_recap.cli.output import counted, emit, end, fail, warn, wrote
 from carla_recap.cli.progress import SourcesBar
 from carla_recap.errors import RecapError
@@ -41,20 +40,19 @@ _BATCH: Final = 4096  # rows that are Python objects at a time
 _ENCODER: Final = JSONEncoder(ensure_ascii=False)
 
 
-@click.command()
-@click.argument("sources", type=click.Path(allow_dash=True), nargs=-1, required=True, metavar="SOURCE...")
-@click.argument("index_file", type=click.Path(), metavar="INDEX")
-@options.jobs
-@options.dask
-@click.option(
-    "--measures", is_flag=True, help="Read every frame, for near misses, the measures of heroes and incidents of the road."
+@command(
+    options.sources,
+    argument("index_file", "INDEX"),
+    options.jobs,
+    options.dask,
+    flag("--measures", help="Read every frame, for near misses, the measures of heroes and incidents of the road."),
+    options.road_map,
+    options.path("--route", help="Score recordings by this Leaderboard route file."),
+    flag("--prune", help="Remove recordings from INDEX that no SOURCE means."),
+    flag("--retry", help="Read recordings again that could not be read, also unchanged ones."),
+    flag("--all", "again", help="Read all recordings again, also unchanged ones."),
+    options.written,
 )
-@options.road_map
-@click.option("--route", type=click.Path(), metavar="FILE", help="Score recordings by this Leaderboard route file.")
-@click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
-@click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
-@click.option("--all", "again", is_flag=True, help="Read all recordings again, also unchanged ones.")
-@options.written
 def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: Any) -> NoReturn:
     """Write what many recordings contain into INDEX, a DuckDB file such as runs.duckdb.
 
@@ -94,12 +92,12 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
     end(failed=summary.failed)
 
 
-@click.command()
-@click.argument("index_file", type=click.Path(), metavar="INDEX")
-@click.argument("query")
-@options.json
-@options.form("csv", "Print CSV, as in a pipe.")
-def sql(index_file: str, query: str, form: Form | None) -> None:
+@command()
+def sql(
+    index_file: str = argument("index_file", "INDEX"),
+    query: str = argument("query", "QUERY", type=str),
+    form: Form | None = together(options.json, options.form("csv", "Print CSV, as in a pipe.")),
+) -> None:
     """Answer QUERY, in SQL, from the tables of INDEX.
 
     The tables are recordings, actors, collisions, stationary, incidents and measures. A QUERY of - is read from stdin.

@@ -128,15 +128,21 @@ def cluster(address: str | None) -> Iterator[Client | None]:
             yield client
 
 
-def _print(given: Iterable[RecordingAnswer], form: str, messages: Messages, max_rows: int | None) -> bool:
+def _print(given: Iterable[RecordingAnswer], form: Form, messages: Messages, max_rows: int | None) -> bool:
     """Print answers and errors; return whether there are more rows than allowed."""
-    printer, rows = _PRINTERS[form](messages.bar), 0
-    for each in given:
-        printer.add(each)
-        messages.add(each.source.location, each.warnings, each.error)
-        rows += each.rows
-    messages.bar.close()
-    printer.end()
+    rows = 0
+
+    def counted_ones() -> Iterator[RecordingAnswer]:
+        nonlocal rows
+        for each in given:
+            yield each
+            messages.add(each.source.location, each.warnings, each.error)
+            rows += each.rows
+
+    if form == "table":
+        _print_tables(counted_ones(), messages)
+    else:
+        _print_text({"text": _text, "json": _json, "csv": _csv}[form](counted_ones()), messages.bar)
     messages.end()
     return is_too_many(rows, max_rows)
 
@@ -194,168 +200,113 @@ def _end_as_by_a_closed_pipe() -> None:
         signal.raise_signal(number)
 
 
-class _TextPrinter:
-    """Prints lines with the name of the recording in front; where each is a row, with a heading above the first."""
+def _text(given: Iterable[RecordingAnswer]) -> Iterator[str]:
+    """Yield lines with the name of the recording in front; where each is a row, with a heading above the first."""
+    from carla_recap.output.text import heading
 
-    def __init__(self, bar: SourcesBar) -> None:
-        self._out = _Output(bar)
-        self._is_headed = False
-        self._is_terminal = sys.stdout.isatty()
-
-    def add(self, given: RecordingAnswer) -> None:
-        for piece in given.pieces:
-            self._head(given)
-            self._write(str(piece))
-        self._head(given)
-        self._out.pause()
-
-    def end(self) -> None:
-        self._out.flush()
-
-    def _head(self, given: RecordingAnswer) -> None:
-        if not self._is_headed and given.kind is not None:
-            self._is_headed = True
-            self._write(self._heading(given.kind))
-
-    def _heading(self, kind: type[Any]) -> str:
-        from carla_recap.output.text import heading
-
+    def headed(kind: type[Any]) -> str:
         line = heading(kind.__name__)
         return f"Recording\t{line}" if line else ""
 
-    def _write(self, lines: str) -> None:
-        if self._is_terminal:  # where tabs are shown as escape sequences, as all that controls it
-            lines = re.sub(r"(?m)^([^\t\n]*)\t", r"\1  ", lines)
-        self._out.write(lines)
+    lines = _headed(given, headed)
+    if sys.stdout.isatty():  # where tabs are shown as escape sequences, as all that controls it
+        return (re.sub(r"(?m)^([^\t\n]*)\t", r"\1  ", line) for line in lines)
+    return lines
 
 
-class _JsonPrinter:
-    """Prints one JSON object: the rows of all recordings, then the recordings, whose text waits in a file."""
+def _csv(given: Iterable[RecordingAnswer]) -> Iterator[str]:
+    """Yield a line with the names of the columns, then one for each row, with the recording in front."""
+    from carla_recap.output.csv import heading
 
-    def __init__(self, bar: SourcesBar) -> None:
-        from tempfile import SpooledTemporaryFile
-
-        self._out = _Output(bar)
-        self._out.write('{"rows": [')
-        self._separator = "\n"
-        self._recordings = SpooledTemporaryFile(_MEGABYTE, "w+")  # noqa: SIM115 - which ends with the process
-
-    def add(self, given: RecordingAnswer) -> None:
-        from carla_recap.output.json import encoded, facts
-
-        for piece in given.pieces:
-            self._out.write(self._separator + str(piece))
-            self._separator = ",\n"
-        about = {"recording": given.source.location, "error": given.error, "rows": given.rows}
-        more = {**facts(given.header, given.extent), "warnings": list(given.warnings)}
-        self._recordings.write((",\n" if self._recordings.tell() else "\n") + encoded({**about, **more}))
-        self._out.pause()
-
-    def end(self) -> None:
-        self._out.write('\n], "recordings": [')
-        self._recordings.seek(0)
-        for piece in iter(partial(self._recordings.read, _MEGABYTE), ""):
-            self._out.write(piece)
-        self._out.write("\n]}\n")
-        self._out.flush()
+    return _headed(given, lambda kind: heading(kind.row_type, "recording"))
 
 
-class _CsvPrinter(_TextPrinter):
-    """Prints a line with the names of the columns, then one for each row, with the recording in front."""
-
-    def _heading(self, kind: type[Any]) -> str:
-        from carla_recap.output.csv import heading
-
-        line: str = heading(kind.row_type, "recording")
-        return line
-
-    def _write(self, lines: str) -> None:
-        self._out.write(lines)
+def _headed(given: Iterable[RecordingAnswer], heading: Callable[[type[Any]], str]) -> Iterator[str]:
+    """Yield the heading of a kind of answers, and the lines of all."""
+    is_headed = False
+    for each in given:
+        for piece in chain(each.pieces, [""]):  # with the first of which, or behind them, the kind is known
+            if not is_headed and each.kind is not None:
+                is_headed = True
+                yield heading(each.kind)
+            yield str(piece)
 
 
-class _TablePrinter:
-    """Prints tables of some rows each, tables of the errors between them, and a line with the numbers of all."""
+def _json(given: Iterable[RecordingAnswer]) -> Iterator[str]:
+    """Yield one JSON object: the rows of all recordings, then the recordings, whose text waits in a file."""
+    from tempfile import SpooledTemporaryFile
 
-    def __init__(self, bar: SourcesBar) -> None:
-        from rich.console import Console
+    from carla_recap.output.json import array_of, encoded, facts
 
-        self._console = Console()
-        self._bar = bar
-        self._page: list[tuple[str, ...]] = []
-        self._errors: list[tuple[str, ...]] = []
-        self._row_type: type[Any] | None = None
-        self._due = 0.0
-        self._rows = self._recordings = self._failed = 0
+    with SpooledTemporaryFile(_MEGABYTE, "w+") as recordings:
 
-    def add(self, given: RecordingAnswer) -> None:
-        for piece in given.pieces:
-            self._row_type = given.kind.row_type if given.kind else None
-            self._add(self._page, tuple(piece))
-        if given.error is not None:
-            self._failed += 1
-            location = given.source.location
-            self._add(self._errors, (location, given.error.removeprefix(f"{location}: ")))
-        self._rows += given.rows
-        self._recordings += 1
-        if (self._page or self._errors) and monotonic() > self._due:
-            self._print_page()
+        def rows() -> Iterator[str]:
+            for each in given:
+                yield from map(str, each.pieces)
+                about = {"recording": each.source.location, "error": each.error, "rows": each.rows}
+                more = {**facts(each.header, each.extent), "warnings": list(each.warnings)}
+                recordings.write(encoded({**about, **more}) + "\n")
 
-    def end(self) -> None:
-        self._print_page()
-        failed = f", {self._failed} failed" if self._failed else ""
-        line = f"{counted(self._rows, 'row')}; {counted(self._recordings, 'recording')}{failed}"
-        self._console.print(line, highlight=False)
-
-    def _add(self, rows: list[tuple[str, ...]], row: tuple[str, ...]) -> None:
-        if not self._page and not self._errors:
-            self._due = monotonic() + _INTERVAL
-        rows.append(row)
-        if len(rows) == _PAGE:
-            self._print_page()
-
-    def _print_page(self) -> None:
-        from carla_recap.output.table import print_rows
-        from carla_recap.output.terminal import TableColumn
-
-        recording = TableColumn("Recording", narrowed="middle")
-        with self._bar.aside():
-            if self._page:
-                print_rows(self._console, self._row_type, self._page, recording)
-            if self._errors:
-                print_rows(self._console, None, self._errors, recording, TableColumn("Error", narrowed="words"))
-        self._page, self._errors = [], []
+        yield '{"rows": '
+        yield from array_of(rows())
+        recordings.seek(0)
+        yield ', "recordings": '
+        yield from array_of(line.removesuffix("\n") for line in recordings)
+        yield "}\n"
 
 
-class _Output:
-    """Stdout, written to in large pieces; what waits is written after a while."""
-
-    def __init__(self, bar: SourcesBar) -> None:
-        self._bar = bar
-        self._pieces: list[str] = []
-        self._size = 0
-        self._due = 0.0
-
-    def write(self, piece: str) -> None:
-        self._pieces.append(piece)
-        self._size += len(piece)
-        if self._size > _MEGABYTE:
-            self.flush()
-
-    def pause(self) -> None:
-        """Write what waits if nothing was written for a while."""
-        if self._pieces and monotonic() > self._due:
-            self.flush()
-
-    def flush(self) -> None:
-        with self._bar.aside():
-            print_pieces(self._pieces)
-        self._pieces, self._size = [], 0
-        self._due = monotonic() + _INTERVAL
+def _print_text(pieces: Iterable[str], bar: SourcesBar) -> None:
+    """Print pieces of a text, many together; what is known is printed after a while."""
+    waiting, size, due = list[str](), 0, 0.0
+    for piece in pieces:
+        waiting.append(piece)
+        size += len(piece)
+        if size > _MEGABYTE or monotonic() > due:
+            with bar.aside():
+                print_pieces(waiting)
+            waiting, size, due = [], 0, monotonic() + _INTERVAL
+    bar.close()
+    print_pieces(waiting)
 
 
-_PRINTERS: Final[dict[str, Callable[[SourcesBar], Any]]] = {
-    "text": _TextPrinter,
-    "json": _JsonPrinter,
-    "csv": _CsvPrinter,
-    "table": _TablePrinter,
-}
+def _print_tables(given: Iterable[RecordingAnswer], messages: Messages) -> None:
+    """Print tables of some rows each, tables of the errors between them, and a line with the numbers of all."""
+    from rich.console import Console
+
+    from carla_recap.output.table import print_rows
+    from carla_recap.output.terminal import TableColumn
+
+    console, recording = Console(), TableColumn("Recording", narrowed="middle")
+    page, errors = list[Any](), list[tuple[str, str]]()
+    kind: type[Any] | None = None
+    rows = recordings = 0
+    since = 0.0
+
+    def print_page() -> None:
+        with messages.bar.aside():
+            if page:
+                print_rows(console, kind and kind.row_type, page, recording)
+            if errors:
+                print_rows(console, None, errors, recording, TableColumn("Error", narrowed="words"))
+        page.clear()
+        errors.clear()
+
+    for each in given:
+        if not page and not errors:
+            since = monotonic()
+        for piece in each.pieces:
+            kind = each.kind
+            page.append(piece)
+            if len(page) == _PAGE:
+                print_page()
+        if each.error is not None:
+            location = each.source.location
+            errors.append((location, each.error.removeprefix(f"{location}: ")))
+        rows += each.rows
+        recordings += 1
+        if monotonic() > since + _INTERVAL:
+            print_page()
+    messages.bar.close()
+    print_page()
+    failed = f", {messages.failed} failed" if messages.failed else ""
+    console.print(f"{counted(rows, 'row')}; {counted(recordings, 'recording')}{failed}", highlight=False)

@@ -7,7 +7,7 @@ import sys
 import warnings
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO, cast
 
 import click
 
@@ -35,9 +35,9 @@ def form_of(form: str | None, *, compat: bool) -> Form:
     """Return the form in which an answer is printed; without one, a table on a terminal, else text, as with `compat`."""
     if form in ("json", "csv") and compat:
         raise click.UsageError(f"--compat is about CARLA's text: it does not go with --{form}.")
-    if form is not None:
-        return "json" if form == "json" else "csv" if form == "csv" else "text"
-    return "text" if compat or not sys.stdout.isatty() else "table"
+    if form is None:
+        return "text" if compat or not sys.stdout.isatty() else "table"
+    return cast("Form", form)
 
 
 def collect_warnings() -> list[str]:
@@ -107,14 +107,16 @@ def is_quiet() -> bool:
     return context is not None and bool(context.meta.get(_QUIET))
 
 
-def ask_quiet() -> None:
-    """Print neither progress nor success lines from now on."""
-    click.get_current_context().meta[_QUIET] = True
+def ask_quiet(context: click.Context, _: click.Parameter, value: bool) -> None:
+    """Print neither progress nor success lines from now on, if an option is given."""
+    if value:
+        context.meta[_QUIET] = True
 
 
-def ask_json() -> None:
-    """Print what `wrote` was called with as JSON on stdout, when the command ends."""
-    click.get_current_context().meta.setdefault(_WRITTEN, {"written": []})
+def ask_json(context: click.Context, _: click.Parameter, value: bool) -> None:
+    """Print what `wrote` was called with as JSON on stdout, when the command ends, if an option is given."""
+    if value:
+        context.meta.setdefault(_WRITTEN, {"written": []})
 
 
 def json_of_written() -> dict[str, list[Any]] | None:

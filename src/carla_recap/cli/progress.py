@@ -19,13 +19,9 @@ if TYPE_CHECKING:
 
     from rich.progress import Progress as Bar
 
-    from carla_recap.editing.convert import Progress
     from carla_recap.formats.base import Reader
-    from carla_recap.model.batch import Batch
     from carla_recap.queries.incidents import Incident
     from carla_recap.replay.player import Player
-    from carla_recap.replay.player import Progress as SceneProgress
-    from carla_recap.replay.scene import Scene
 
 T = TypeVar("T")
 
@@ -38,29 +34,13 @@ def _is_shown() -> bool:
     return is_command and sys.stderr.isatty() and os.environ.get("TERM") not in ("dumb", "unknown") and not is_quiet()
 
 
-def watch(title: str) -> Progress:
-    """Return a wrapper of the batches of a recording."""
+def watch(title: str) -> Callable[[Iterable[Any], Any], Iterable[Any]]:
+    """Return a wrapper of the batches of a recording, or of its scenes."""
 
-    def progress(batches: Iterable[Batch], reader: Reader) -> Iterable[Batch]:
-        return _bar(batches, title, reader.extent().duration, lambda batch: batch.elapsed[-1].item())
-
-    return progress
-
-
-def watch_scenes(title: str) -> SceneProgress:
-    """Return a wrapper of the scenes of a recording."""
-
-    def progress(scenes: Iterable[Scene], player: Player) -> Iterable[Scene]:
-        return _bar(scenes, title, player.stop - player.start, lambda scene: scene.time - player.start)
-
-    return progress
-
-
-def watch_all(title: str) -> Callable[[Iterable[Any], Any], Iterable[Any]]:
-    """Return a wrapper of the batches or of the scenes of a recording."""
-
-    def progress(items: Iterable[Any], source: Any) -> Iterable[Any]:
-        return watch(title)(items, source) if hasattr(source, "extent") else watch_scenes(title)(items, source)
+    def progress(items: Iterable[Any], source: Reader | Player) -> Iterable[Any]:
+        if hasattr(source, "extent"):
+            return _bar(items, title, source.extent().duration, lambda batch: batch.elapsed[-1].item())
+        return _bar(items, title, source.stop - source.start, lambda scene: scene.time - source.start)
 
     return progress
 

@@ -12,8 +12,8 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import QueryRequest, is_one
+from carla_recap.cli.options import FOLLOW, MEASURED, TIME, command, flag, option
 from carla_recap.cli.output import counted, note
-from carla_recap.cli.parameter_types import FOLLOW, MEASURED, TIME
 from carla_recap.errors import RecapWarning
 
 if TYPE_CHECKING:
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorName
     from carla_recap.queries.incidents import IncidentOptions, Incidents
 
-_EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
-
 _sources = options.together(options.sources, options.json, options.text)
 _many = options.together(options.jobs, options.dask, options.gathered("request", lambda: QueryRequest))
 _report = options.together(_sources, options.compat)
 
 
-@click.command(epilog=_EPILOG)
-@_report
-@click.option("--all", "everything", is_flag=True, help="Every record of every frame, not only the events.")
-@_many
+@command(
+    _report,
+    flag("--all", "everything", help="Every record of every frame, not only the events."),
+    _many,
+    epilog=options.EPILOG,
+)
 def info(request: QueryRequest, everything: bool) -> None:
     """Print the contents: spawns, collisions and other events."""
     from carla_recap.queries.info import info as query
@@ -39,17 +39,18 @@ def info(request: QueryRequest, everything: bool) -> None:
     request.answer(partial(query, all=everything, compat=request.compat))
 
 
-@click.command(epilog=_EPILOG)
-@_report
-@click.option(
-    "--types",
-    default="aa",
-    show_default=True,
-    metavar="AB",
-    help="The two sides: h hero, v vehicle, w walker, t traffic light, o other, a any.",
+@command(
+    _report,
+    option(
+        "--types",
+        default="aa",
+        metavar="AB",
+        help="The two sides: h hero, v vehicle, w walker, t traffic light, o other, a any.",
+    ),
+    options.max_rows,
+    _many,
+    epilog=options.EPILOG,
 )
-@options.max_rows
-@_many
 def collisions(request: QueryRequest, types: str) -> None:
     """Print the collisions."""
     from carla_recap.queries.collisions import check_letters
@@ -63,12 +64,14 @@ def collisions(request: QueryRequest, types: str) -> None:
     request.answer(partial(query, type1=types[0], type2=types[1], compat=request.compat, speeds=speeds))
 
 
-@click.command(epilog=_EPILOG)
-@_report
-@click.option("--min-time", type=TIME, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s.")
-@options.min_distance
-@options.max_rows
-@_many
+@command(
+    _report,
+    options.min_time(TIME),
+    options.min_distance,
+    options.max_rows,
+    _many,
+    epilog=options.EPILOG,
+)
 def blocked(request: QueryRequest, min_time: float, min_distance: float) -> None:
     """Print the actors that stood still for long."""
     from carla_recap.queries.blocked import blocked as query
@@ -78,10 +81,12 @@ def blocked(request: QueryRequest, min_time: float, min_distance: float) -> None
     request.answer(partial(query, min_time=min_time, min_distance=min_distance, compat=request.compat))
 
 
-@click.command(epilog=_EPILOG)
-@_sources
-@options.road_map
-@_many
+@command(
+    _sources,
+    options.road_map,
+    _many,
+    epilog=options.EPILOG,
+)
 def summary(request: QueryRequest, road_map: str | None) -> None:
     """Print an overview: actors by kind, how far and how fast the hero drives, incidents by kind.
 
@@ -95,9 +100,11 @@ def summary(request: QueryRequest, road_map: str | None) -> None:
     request.answer(partial(query, options=IncidentOptions(kinds="all", road_map=road_map)))
 
 
-@click.command(epilog=_EPILOG)
-@_sources
-@_many
+@command(
+    _sources,
+    _many,
+    epilog=options.EPILOG,
+)
 def actors(request: QueryRequest) -> None:
     """Print the actors, and when they existed."""
     from carla_recap.queries.recorded_actors import actors as query
@@ -105,12 +112,14 @@ def actors(request: QueryRequest) -> None:
     request.answer(query)
 
 
-@click.command(epilog=_EPILOG)
-@_sources
-@options.kinds
-@options.incident_options
-@options.max_rows
-@_many
+@command(
+    _sources,
+    options.kinds,
+    options.incident_options,
+    options.max_rows,
+    _many,
+    epilog=options.EPILOG,
+)
 def incidents(request: QueryRequest, wanted: IncidentOptions) -> None:
     """Print the incidents: collisions, hard braking, long stops, and with --kinds others.
 
@@ -135,27 +144,29 @@ def _incidents(source: Reader, options: IncidentOptions) -> Incidents:
     return found
 
 
-@click.command(epilog=_EPILOG)
-@_sources
-@click.option(
-    "--actor",
-    "actors",
-    type=MEASURED,
-    multiple=True,
-    metavar="ID|hero|all",
-    help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
+@command(
+    _sources,
+    option(
+        "--actor",
+        "actors",
+        type=MEASURED,
+        multiple=True,
+        metavar="ID|hero|all",
+        help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
+    ),
+    flag("--over-time", help="Print the measures in each frame instead of their extremes."),
+    option(
+        "--pair",
+        type=FOLLOW,
+        nargs=2,
+        metavar="A B",
+        help="Two actors, each measured over time as if the other were the only one.",
+    ),
+    options.csv,
+    options.road_map,
+    _many,
+    epilog=options.EPILOG,
 )
-@click.option("--over-time", is_flag=True, help="Print the measures in each frame instead of their extremes.")
-@click.option(
-    "--pair",
-    type=FOLLOW,
-    nargs=2,
-    metavar="A B",
-    help="Two actors, each measured over time as if the other were the only one.",
-)
-@options.csv
-@options.road_map
-@_many
 def measures(
     request: QueryRequest,
     actors: tuple[int | Literal["hero", "all"], ...],

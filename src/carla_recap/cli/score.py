@@ -11,8 +11,8 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import SourcesRequest
+from carla_recap.cli.options import FOLLOW, PERCENT, Parsed, command, flag, option
 from carla_recap.cli.output import emit, end, fail, indented, wrote
-from carla_recap.cli.parameter_types import FOLLOW, PERCENT, Parsed
 from carla_recap.output.terminal import TableColumn, print_table
 from carla_recap.util.text import visible
 
@@ -39,60 +39,53 @@ def _limit(text: str) -> tuple[str, int]:
     return kind, int(number)
 
 
-@click.command(epilog="Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin.")
-@options.sources
-@click.option(
-    "--route",
-    "route_files",
-    type=click.Path(),
-    multiple=True,
-    metavar="FILE",
-    help="The route, in a Leaderboard route file; several files may be given.",
-)
-@click.option("--route-id", metavar="ID", help="Its id; else the one that the recording's name or town says.")
-@click.option("--from-drive", is_flag=True, help="Score without a route: the infractions along the driven path.")
-@click.option(
-    "--formula",
-    type=click.Choice(FORMULAS),
-    default="2.0",
-    show_default=True,
-    help="The version of the Leaderboard whose formula counts.",
-)
-@click.option("--actor", type=FOLLOW, default="hero", metavar="ID|hero", help="The vehicle to score; else the hero.")
-@click.option("--min-score", type=PERCENT, metavar="N", help="End with exit code 1 if a score is lower.")
-@click.option("--min-completion", type=PERCENT, metavar="N", help="The same for the completion in %.")
-@click.option(
-    "--max-infractions", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if a recording has more."
-)
-@click.option(
-    "--max",
-    "limits",
-    type=Parsed("limit", _limit),
-    multiple=True,
-    metavar="KIND=N",
-    help="The same for a kind: red_light=0.",
-)
-@click.option("--junit", type=click.Path(), metavar="FILE", help="Write what becomes of these limits as JUnit XML.")
-@options.road_map
-@options.jobs
-@options.dask
-@options.json
-@options.plain
-@options.gathered("request", lambda: SourcesRequest)
+@command(epilog="Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin.")
 def score(
-    request: SourcesRequest,
-    route_files: tuple[str, ...],
-    route_id: str | None,
-    from_drive: bool,
-    formula: Formula,
-    actor: ActorName,
-    min_score: float | None,
-    min_completion: float | None,
-    max_infractions: int | None,
-    limits: tuple[tuple[str, int], ...],
-    junit: str | None,
-    road_map: str | None,
-    form: str | None,
+    sources: tuple[str, ...] = options.sources,
+    route_files: tuple[str, ...] = options.path(
+        *("--route", "route_files"),
+        multiple=True,
+        help="The route, in a Leaderboard route file; several files may be given.",
+    ),
+    route_id: str | None = option(
+        "--route-id", metavar="ID", help="Its id; else the one that the recording's name or town says."
+    ),
+    from_drive: bool = flag("--from-drive", help="Score without a route: the infractions along the driven path."),
+    formula: Formula = option(
+        "--formula",
+        type=click.Choice(FORMULAS),
+        default="2.0",
+        help="The version of the Leaderboard whose formula counts.",
+    ),
+    actor: ActorName = option(
+        "--actor",
+        type=FOLLOW,
+        default="hero",
+        show_default=False,
+        metavar="ID|hero",
+        help="The vehicle to score; else the hero.",
+    ),
+    min_score: float | None = option(
+        "--min-score", type=PERCENT, metavar="N", help="End with exit code 1 if a score is lower."
+    ),
+    min_completion: float | None = option(
+        "--min-completion", type=PERCENT, metavar="N", help="The same for the completion in %."
+    ),
+    max_infractions: int | None = option(
+        "--max-infractions", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if a recording has more."
+    ),
+    limits: tuple[tuple[str, int], ...] = option(
+        *("--max", "limits"),
+        type=Parsed("limit", _limit),
+        multiple=True,
+        metavar="KIND=N",
+        help="The same for a kind: red_light=0.",
+    ),
+    junit: str | None = options.path("--junit", help="Write what becomes of these limits as JUnit XML."),
+    road_map: str | None = options.road_map,
+    jobs: int | None = options.jobs,
+    dask: str | None = options.dask,
+    form: str | None = options.json_or_text,
 ) -> NoReturn:
     """Score recordings of drives along routes, as CARLA's Leaderboard does.
 
@@ -119,6 +112,7 @@ def score(
         prepare_junit(junit)
     outcomes: list[Outcome[Score]] = []
     score_each = partial(score_sources, routes=routes, options=wanted, route_id=route_id)
+    request = SourcesRequest(sources=sources, jobs=jobs, dask=dask)
     with request.reading("scoring", score_each) as (scored, messages):
         for outcome in scored:
             outcomes.append(outcome)

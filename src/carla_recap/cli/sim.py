@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from carla_recap.cli import options
+from carla_recap.cli.options import NUMBER, POSITIVE, command, flag, option
 from carla_recap.cli.output import BAD_INPUT, log_to_stderr, wrote
-from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 from carla_recap.cli.progress import watch_ticks
 
 if TYPE_CHECKING:
@@ -28,41 +28,36 @@ def _not_empty(context: click.Context, option: click.Parameter, value: str | Non
     return value
 
 
-_seed = click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    metavar="K",
-    help="The same seed, the same bytes, dated 2026-01-01 10:00 UTC or $SOURCE_DATE_EPOCH; else seed 0, dated now.",
-)
+def _town(otherwise: str) -> Any:
+    """Return the option for the town."""
+    words = f"A map's name or an .xodr; else {otherwise}."
+    return option("--town", callback=_not_empty, metavar="NAME", help=words)
 
 
-@click.command()
-@options.destination
-@click.option("--town", callback=_not_empty, metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
-@click.option("--vehicles", type=click.IntRange(0, 1000), default=30, show_default=True, metavar="N", help="On autopilot.")
-@click.option("--walkers", type=click.IntRange(0, 1000), default=10, show_default=True, metavar="N", help="On foot.")
-@click.option("--duration", type=POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
-@click.option("--hero", is_flag=True, help="The first vehicle is the hero, with a collision sensor.")
-@click.option("--junction", is_flag=True, help="All begin around the town's largest junction with traffic lights.")
-@click.option("--crash", is_flag=True, help="Add a crash: the hero hits a walker, then a van that blocks its lane.")
-@click.option("--blocked", is_flag=True, help="Add a breakdown: a van stops; the hero and others queue behind it.")
-@_seed
-@options.additional_data
-@options.force
-@options.written
+def _count(name: str, default: int, help: str) -> Any:
+    """Return the option for a number of actors."""
+    return option(name, type=click.IntRange(0, 1000), default=default, metavar="N", help=help)
+
+
+@command(options.written)
 def record(
-    destination: str,
-    town: str | None,
-    vehicles: int,
-    walkers: int,
-    duration: float,
-    hero: bool,
-    junction: bool,
-    crash: bool,
-    blocked: bool,
-    seed: int | None,
-    additional_data: bool,
-    force: bool,
+    destination: str = options.destination,
+    town: str | None = _town("the built-in town"),
+    vehicles: int = _count("--vehicles", 30, "On autopilot."),
+    walkers: int = _count("--walkers", 10, "On foot."),
+    duration: float = option("--duration", type=POSITIVE, default=60, metavar="S", help="How long, in s."),
+    hero: bool = flag("--hero", help="The first vehicle is the hero, with a collision sensor."),
+    junction: bool = flag("--junction", help="All begin around the town's largest junction with traffic lights."),
+    crash: bool = flag("--crash", help="Add a crash: the hero hits a walker, then a van that blocks its lane."),
+    blocked: bool = flag("--blocked", help="Add a breakdown: a van stops; the hero and others queue behind it."),
+    seed: int | None = option(
+        "--seed",
+        type=click.IntRange(min=0),
+        metavar="K",
+        help="The same seed, the same bytes, dated 2026-01-01 10:00 UTC or $SOURCE_DATE_EPOCH; else seed 0, dated now.",
+    ),
+    additional_data: bool = options.additional_data,
+    force: bool = options.force,
 ) -> None:
     """Record simulated traffic, to .mcap or .log."""
     from carla_recap.editing.convert import check_new
@@ -84,29 +79,17 @@ def record(
             _watch("simulating", duration, _ticks(world, duration))
 
 
-@click.command()
-@options.source
-@options.destination
-@click.option("--town", callback=_not_empty, metavar="NAME", help="A map's name or an .xodr; else that of the recording.")
-@options.start
-@options.duration
-@click.option(
-    "--then", type=NUMBER, default=10, show_default=True, metavar="S", help="How long to go on by autopilot, in s."
-)
-@click.option("--ignore-hero", is_flag=True, help="Leave the hero out.")
-@options.additional_data
-@options.force
-@options.written
+@command(options.written)
 def replay(
-    source: str,
-    destination: str,
-    town: str | None,
-    start: float | None,
-    duration: float | None,
-    then: float,
-    ignore_hero: bool,
-    additional_data: bool,
-    force: bool,
+    source: str = options.source,
+    destination: str = options.destination,
+    town: str | None = _town("that of the recording"),
+    start: float | None = options.start,
+    duration: float | None = options.duration,
+    then: float = option("--then", type=NUMBER, default=10, metavar="S", help="How long to go on by autopilot, in s."),
+    ignore_hero: bool = flag("--ignore-hero", help="Leave the hero out."),
+    additional_data: bool = options.additional_data,
+    force: bool = options.force,
 ) -> None:
     """Replay a recording in the simulated town, hand its actors to the autopilot, and record everything.
 

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from carla_recap.fleet.outcomes import Outcome
 
 _options = options.together(
-    click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1),
+    options.argument("sources", "SOURCE...", type=click.Path(allow_dash=True), nargs=-1),
     options.destination,
     options.force,
-    click.option("--newer", is_flag=True, help="Skip recordings whose file is there and newer; replace older files."),
+    options.flag("--newer", help="Skip recordings whose file is there and newer; replace older files."),
     options.jobs,
     options.dask,
     options.written,
