@@ -105,12 +105,21 @@ def test_on_a_terminal_verdicts_are_a_table(runs):
     assert "no-hero-collision" in shown
 
 
-def test_a_junit_file_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
+@pytest.mark.parametrize(
+    ("option", "path", "named", "said"),
+    [
+        ("--junit", "file/out.xml", "file", "is a file; a folder"),
+        ("--junit", "", "", "cannot be written: "),
+        ("--junit", "file", "file", "is no XML"),
+        ("--html", "file/out", "file", "is a file"),
+        ("--html", "file", "file", "is a file; a folder was expected"),
+    ],
+)
+def test_what_cannot_be_written_is_an_error_before_anything_is_read(tmp_path, option, path, named, said):
     (tmp_path / "file").write_bytes(b"a file of mine")
-    for path, said in {"file/out.xml": "is a file; a folder", "": "cannot be written: ", "file": "is no XML"}.items():
-        message = error("check", "absent.mcap", "--rules", RULES, "--junit", tmp_path / path)
-        assert message.startswith(f"{tmp_path / path.removesuffix('/out.xml')}: ")
-        assert said in message
+    message = error("check", "absent.mcap", "--rules", RULES, option, tmp_path / path)
+    assert message.startswith(f"{tmp_path / named}: ")
+    assert said in message
 
 
 def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, monkeypatch):
@@ -150,12 +159,6 @@ def test_a_folder_of_pages_that_is_not_empty_is_left_alone_without_force(runs, t
     done = run("check", runs, "--rules", RULES, "--html", tmp_path, "--force", *ALONE)
     assert done.returncode == 1
     assert names_in(tmp_path) == ["index.html", "mine.txt", "pages", "runs"]
-
-
-def test_a_folder_of_pages_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
-    file = save(tmp_path / "file", b"")
-    assert f"{file}: is a file" in error("check", "absent.mcap", "--rules", RULES, "--html", file / "out")
-    assert "is a file; a folder was expected" in error("check", "absent.mcap", "--rules", RULES, "--html", file)
 
 
 def test_names_that_are_no_text_are_printed_and_written(tmp_path):

@@ -19,8 +19,7 @@ from carla_recap.model.frame import LAST_FRAME_DURATION
 from carla_recap.output.text import local_date
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, run, the_line, wrote
 from tests.queries.conftest import write
-from tests.roads.towns import town
-from tests.samples import ROOT, carla_log, reading
+from tests.samples import ROOT, reading
 from tests.waiting import PATIENCE
 
 rerun = pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
@@ -38,7 +37,7 @@ def test_scenes_are_counted_from_the_first_one_that_is_played(monkeypatch):
     monkeypatch.setattr(progress, "_bar", lambda scenes, _, total, at: [at(scene) / total for scene in scenes])
     with open_recording(CROSSING) as recording:
         player = Player(recording, start=10, duration=2)
-        shares = list(progress.watch_scenes("exporting")(player.scenes(), player))
+        shares = list(progress.watch("exporting")(player.scenes(), player))
     assert (shares[0], shares[-1]) == pytest.approx((0, 1))
 
 
@@ -52,13 +51,9 @@ def test_scenes_are_counted_from_the_first_one_that_is_played(monkeypatch):
         ("out.mcap", ("--to", "foxglove", "--follow", "hero")),
         ("out.rrd", ("--rules", ROOT / "samples" / "rules.toml")),
         ("tracks.csv", ()),
-        ("run.xosc", ()),
-        ("trace.mcap", ("--to", "osi")),
     ],
 )
 def test_an_export_says_how_much_it_wrote(tmp_path, name, options):
-    if "osi" in options:
-        pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
     done = run("export", CROSSING, tmp_path / name, "--start", "-20", "--duration", "2", *options, "--json")
     assert done.returncode == 0
     assert wrote(done.stderr) == [f"{tmp_path / name}: 21 frames, 2 s"]
@@ -76,32 +71,15 @@ def test_an_export_of_files_counts_them(tmp_path):
     assert "out: is not empty; --force writes over" in error("export", CROSSING, tmp_path / "out", "--to", "parquet")
 
 
-def test_export_draws_the_map(tmp_path):
-    from rerun.chunk import RrdReader
-
-    target = tmp_path / "out.rrd"
-    said("export", carla_log(REAL), target, "--duration", "0.2", "--map", town("Town01"))
-    assert any(path.startswith("/world/map/") for path in RrdReader(target).store().schema().entity_paths())
-
-
-def test_a_camera_for_each_actor(tmp_path):
-    said("export", CROSSING, tmp_path / "out.rrd", "--duration", "0.2", "--cameras", tmp_path / "cameras")
-    assert (tmp_path / "cameras" / "follow_100.rbl").stat().st_size > 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("out.rrd", "--follow", "102000"), "no actor 102000 to follow; known ids are "),
         (("out.rrd", "--follow", "somebody"), "'somebody' is neither an actor id nor hero"),
-        (("out.rrd", "--start", "54"), "nothing at 54 s; the recording ends at 53 s"),
-        (("out.txt",), "'out.txt' does not end in .rrd, .mcap, .csv or .xosc"),
         (("out.mcap", "--to", "rerun"), "'out.mcap' does not end in .rrd"),
         (("out.csv", "--follow", "hero"), "--follow does not go with --to csv"),
         (("out.xosc", "--view", "top"), "--view does not go with --to xosc"),
         (("out", "--to", "parquet", "--start", "0"), "--start does not go with --to parquet"),
         (("out.mcap", "--cameras", "cameras"), "--cameras"),
-        (("out.rrd", "--map", "missing.xodr"), "missing.xodr: No such file or directory"),
         (("out.rrd", "--map", "broken.xodr"), "broken.xodr: "),
         (("out.rrd", "--map", "."), "crossing.log: no .xodr in . for the map 'Crossing'"),
     ],
@@ -137,7 +115,7 @@ def test_clips_with_videos(tmp_path):
     assert sorted(path.suffix for path in (tmp_path / "clips").iterdir()) == [".mcap", ".mcap", ".mp4", ".mp4"]
 
 
-@pytest.mark.parametrize("option", [None, "--no-rrd", "--rrd"])
+@pytest.mark.parametrize("option", [None, "--rrd"])
 def test_clips_need_no_rerun(tmp_path, option):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
@@ -229,7 +207,7 @@ def test_a_table_is_imported(tmp_path):
     assert "no NAME=COLUMN" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--column", "east")
 
 
-@pytest.mark.parametrize("date", ["soon", "0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-12:00"])
+@pytest.mark.parametrize("date", ["soon", "0001-01-01T00:00:00+14:00"])
 def test_an_invalid_date_of_an_import_is_an_error(tmp_path, date):
     assert f"'{date}' is no date" in error("import", CROSSING, tmp_path / "b.log", "--date", date)
 
@@ -240,7 +218,3 @@ def test_an_import_has_a_date(tmp_path, date):
     assert run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--date", date).returncode == 0
     with open_recording(tmp_path / "out.log") as recording:
         assert recording.header.date == 1_714_566_600
-
-
-def test_what_has_no_end_is_not_imported(tmp_path):
-    assert "/dev/zero: is no regular file" in error("import", "/dev/zero", tmp_path / "out.log")

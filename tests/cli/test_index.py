@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.command import answer, on_terminal, run, wrote
+from tests.cli.command import answer, error, on_terminal, run, the_line, wrote
 from tests.samples import SAMPLES
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
@@ -47,22 +47,15 @@ def test_an_answer_without_near_misses_says_how_they_are_found(index):
 def test_recordings_that_cannot_be_read_are_named_and_the_exit_code_is_2(tmp_path):
     (tmp_path / "empty.log").touch()
     shutil.copy(SAMPLES / "crossing.log", tmp_path)
-    done = run("index", tmp_path, tmp_path / "index")
-    failure, summary = done.stderr.decode().splitlines()
+    done = run("index", "--measures", tmp_path, tmp_path / "index")
+    failure, summary, warning = done.stderr.decode().splitlines()
     assert done.returncode == 2
     assert failure.startswith(f"carla-recap: {tmp_path}/empty.log: is empty")
     assert wrote(summary) == [f"{tmp_path}/index: 2 recordings (1 read, 1 failed, 0 unchanged)"]
+    assert warning.startswith("carla-recap: warning: unknown maps: 'Crossing'; ")
     again = run("index", tmp_path, tmp_path / "index")
     assert again.returncode == 0
     assert b"(0 read, 0 failed, 2 unchanged, 1 of them with an error)" in again.stderr
-
-
-def test_unknown_maps_are_a_warning(tmp_path):
-    done = run("index", "--measures", SAMPLES / "crossing.log", tmp_path / "index")
-    assert done.returncode == 0
-    warning = done.stderr.decode().splitlines()[-1]
-    assert warning.startswith("carla-recap: warning: unknown maps: 'Crossing'; ")
-    assert "--map" in warning
 
 
 @pytest.mark.parametrize(
@@ -134,38 +127,29 @@ def test_a_query_without_rows(index):
     assert on_terminal("sql", index, "select map from recordings where false")[1] == "0 rows\n"
 
 
-def test_a_query_from_stdin(index):
-    done = run("sql", index, "-", input=b"select 1 as n")
-    assert done.stdout == b"n\n1\n"
-
-
 def test_names_of_recordings_cannot_control_the_terminal(index):
     _, shown, _ = on_terminal("sql", index, "select chr(27) || '[2J' as a, chr(7) as b")
     assert "\x1b[2J" not in shown
     assert r"\x1b[2J" in shown
 
 
-@pytest.mark.parametrize("form", ["argument", "stdin"])
-def test_a_query_that_is_not_utf_8_is_an_error_in_one_line(index, form):
-    query, text = ("-", b"select '\xff'") if form == "stdin" else (b"select '\xff'", b"")
-    done = run("sql", index, query, input=text)
-    assert (done.returncode, done.stdout) == (2, b"")
-    assert done.stderr.count(b"\n") == 1
-    assert b"is not UTF-8" in done.stderr
+def test_a_query_is_read_from_stdin_if_it_is_utf_8(index):
+    assert run("sql", index, "-", input=b"select 1 as n").stdout == b"n\n1\n"
+    for query, text in (("-", b"select '\xff'"), (b"select '\xff'", b"")):
+        assert "is not UTF-8" in error("sql", index, query, input=text)
 
 
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (("sql", "INDEX", "-"), b"stdin: a query of at most 1,048,576 bytes was expected"),
-        (("collisions", "-"), b"stdin: line 1: a path or a URL of at most 65,536 bytes was expected"),
+        (("sql", "INDEX", "-"), "stdin: a query of at most 1,048,576 bytes was expected"),
+        (("collisions", "-"), "stdin: line 1: a path or a URL of at most 65,536 bytes was expected"),
     ],
 )
 def test_stdin_without_an_end_is_an_error(index, command, message):
     arguments = [index if argument == "INDEX" else argument for argument in command]
     with Path("/dev/zero").open("rb") as zeros:
-        done = run(*arguments, stdin=zeros)
-    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"carla-recap: " + message + b"\n")
+        assert error(*arguments, stdin=zeros) == message
 
 
 @pytest.mark.parametrize("form", ["--csv", "--json"])
@@ -173,5 +157,4 @@ def test_stdin_without_an_end_is_an_error(index, command, message):
 def test_a_date_beyond_the_calendar_is_an_error(index, query, form):
     done = run("sql", index, query, form)
     assert done.returncode == 2
-    assert done.stderr.startswith(b"carla-recap: a date that is not between the years 1 and 9999 cannot be printed")
-    assert done.stderr.count(b"\n") == 1
+    assert the_line(done.stderr).startswith("a date that is not between the years 1 and 9999 cannot be printed")

@@ -64,7 +64,7 @@ def test_every_command_has_the_options_of_all_commands():
         assert command.get_help(click.Context(command, context, name)).startswith(f"Usage: {name} "), name
 
 
-@pytest.mark.parametrize("arguments", [("-q", "convert"), ("convert", "-q"), ("convert", "--quiet")], ids=" ".join)
+@pytest.mark.parametrize("arguments", [("-q", "convert"), ("convert", "--quiet")], ids=" ".join)
 def test_quiet_prints_nothing_before_and_after_the_command(invoke, arguments):
     assert invoke(*arguments, CROSSING, "out.mcap", terminal=True) == (0, "", "")
 
@@ -92,10 +92,6 @@ def test_a_warning_is_printed_once_however_often_the_log_is_asked_for(capsys):
         log_to_stderr()
     logging.getLogger("carla_recap").warning("one of its kind")
     assert capsys.readouterr().err == "carla-recap: warning: one of its kind\n"
-
-
-def test_verbose_names_the_map_that_is_looked_for(invoke):
-    assert "carla-recap: info: the map 'Crossing' is not in " in invoke("incidents", "-v", "--kinds", "all", CROSSING).err
 
 
 # --- success lines -----------------------------------------------------------------------------------------
@@ -181,9 +177,6 @@ def test_actors_that_move_come_first(invoke):
     assert kinds[:2] == ["vehicle", "vehicle"]
     order = list(dict.fromkeys(kinds))
     assert order == ["vehicle", "walker", "traffic_light", "sensor", "traffic_sign", "other"]
-
-
-def test_heroes_come_before_other_vehicles(invoke):
     assert lines_of(invoke("actors", CROSSING, terminal=True))[3].split()[1:4] == ["vehicle", "tesla.model3", "hero"]
 
 
@@ -193,15 +186,6 @@ def test_a_row_is_a_line_in_80_columns(invoke, command):
     lines = [line for line in lines_of(invoke(command, CRASH, terminal=True)) if line and not line.startswith("(")]
     assert max(map(len, lines)) <= 80
     assert len(rows) <= len(lines) - 4 <= len(rows) + 1  # the map, headings, a line, the rows, their number
-
-
-def test_a_narrow_table_says_what_is_left_out(invoke, monkeypatch):
-    narrow = lines_of(invoke("collisions", CRASH, terminal=True))
-    assert "(Contact, Relative (m/s): in a wider terminal, or with --json)" in narrow
-    monkeypatch.setitem(ENVIRONMENT, "COLUMNS", "120")
-    wide = lines_of(invoke("collisions", CRASH, terminal=True))
-    assert "Relative (m/s)" in wide[1]
-    assert not any("in a wider terminal" in line for line in wide)
 
 
 def test_a_table_fits_in_any_terminal():
@@ -249,21 +233,14 @@ def test_an_error_is_a_line_that_says_what_to_do(invoke, arguments, message):
     assert not list(Path().iterdir())
 
 
-def test_unknown_maps_of_many_recordings_are_one_warning(invoke, tmp_path):
-    for name in ("a.log", "b.log"):
-        (tmp_path / name).symlink_to(CROSSING)
-    done = invoke("incidents", "--kinds", "all", "a.log", "b.log")
-    assert done.err.startswith("carla-recap: warning: 2 recordings are of an unknown map: 'Crossing'; ")
-    assert done.err.count("\n") == 1
-    assert "a.log: the map 'Crossing' is unknown" in invoke("incidents", "--kinds", "all", "a.log").err
-
-
-def test_the_warning_of_unknown_maps_says_that_one_has_no_name(invoke):
-    for path, name in (("a.mcap", ""), ("b.mcap", "Town05")):
-        with create_recording(path, map_name=name) as recorder:
-            recorder.add_frame(0.0)
+@pytest.mark.parametrize(("other", "told"), [("Town5", "an unknown map: 'Town5'"), ("", "unknown maps: 'Town5', (no name)")])
+def test_unknown_maps_of_many_recordings_are_one_warning(invoke, other, told):
+    for path, name in (("a.mcap", "Town5"), ("b.mcap", other)):
+        create_recording(path, map_name=name).close()
     done = invoke("incidents", "--kinds", "all", "a.mcap", "b.mcap")
-    assert done.err.startswith("carla-recap: warning: 2 recordings are of unknown maps: (no name), 'Town05'; ")
+    assert done.err.startswith(f"carla-recap: warning: 2 recordings are of {told}; ")
+    assert done.err.count("\n") == 1
+    assert "a.mcap: the map 'Town5' is unknown" in invoke("incidents", "--kinds", "all", "a.mcap").err
 
 
 def test_ctrl_c_while_the_commands_are_imported_ends_the_process_without_a_traceback():

@@ -29,21 +29,6 @@ def test_a_query_of_a_url_answers_as_of_the_file(served, name, form):
     assert answer(name, served, form).replace(served, str(CROSSING)) == answer(name, CROSSING, form)
 
 
-def test_a_recording_at_a_url_is_converted(served, tmp_path):
-    assert run("convert", served, tmp_path / "copy.log").returncode == 0
-    assert (tmp_path / "copy.log").read_bytes() == CROSSING.read_bytes()
-
-
-def test_the_page_of_a_url_names_it(served, tmp_path):
-    assert run("report", served, tmp_path / "page.html", "--pictures", "none").returncode == 0
-    assert "crossing.log" in (tmp_path / "page.html").read_text()
-
-
-def test_an_error_has_the_whole_url(served):
-    missing = served.replace("crossing", "missing")
-    assert error("collisions", missing) == f"{missing}: cannot be read: not found (404)"
-
-
 def test_clips_are_not_written_to_a_url():
     expected = "s3://bucket/out: is a URL; a path was expected, since only files of this machine are written"
     assert error("clips", CROSSING, "s3://bucket/out") == expected
@@ -71,17 +56,16 @@ CLIPS = {
 
 
 @pytest.mark.parametrize("arguments", CLIPS)
-def test_a_clip_of_a_moment(served, tmp_path, arguments):
+def test_a_clip_of_a_moment(tmp_path, arguments):
     fragment, *options = arguments
     begin, end = CLIPS[arguments]
-    for source in (CROSSING, served):
-        assert run("clip", f"{source}{fragment}", tmp_path / "clip.log", "--force", *options).returncode == 0
-        with open_recording(tmp_path / "clip.log") as recording:
-            assert recording.info.duration == pytest.approx(end - begin, abs=0.2)
-            (found,) = recording.frames(stop=0.05)
-        with open_recording(CROSSING) as recording:
-            expected = recording.frame_at(begin)
-        assert found["transforms"].tolist() == expected["transforms"].tolist()
+    assert run("clip", f"{CROSSING}{fragment}", tmp_path / "clip.log", *options).returncode == 0
+    with open_recording(tmp_path / "clip.log") as recording:
+        assert recording.info.duration == pytest.approx(end - begin, abs=0.2)
+        (found,) = recording.frames(stop=0.05)
+    with open_recording(CROSSING) as recording:
+        expected = recording.frame_at(begin)
+    assert found["transforms"].tolist() == expected["transforms"].tolist()
 
 
 def test_an_export_of_a_moment(served, tmp_path):

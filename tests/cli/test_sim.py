@@ -7,7 +7,6 @@ import shlex
 import shutil
 import signal
 import subprocess
-import time
 
 import pytest
 
@@ -32,18 +31,6 @@ def test_record(tmp_path):
         kinds = [actor.kind for actor in recording.actors.values()]
         assert (kinds.count("vehicle"), kinds.count("walker")) == (3, 2)
         assert len(recording.heroes) == 1
-
-
-def test_a_seed_sets_the_date(tmp_path):
-    """The same seed makes the same bytes on any day."""
-    environment = {name: value for name, value in ENVIRONMENT.items() if name != "SOURCE_DATE_EPOCH"}
-    dates = []
-    for options in (["--seed", "4"], []):
-        assert run("record", tmp_path / "a.log", *FEW, *options, "--force", env=environment).returncode == 0
-        with open_recording(tmp_path / "a.log") as recording:
-            dates.append(recording.header.date)
-    assert dates[0] == 1767261600
-    assert abs(dates[1] - time.time()) < 60
 
 
 def test_invalid_arguments_of_record(tmp_path):
@@ -82,13 +69,9 @@ def test_missing_folders_are_made(tmp_path, command):
 
 
 def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
-    for folder, told in (
-        ("", "is not set"),
-        (tmp_path / "no", f"{tmp_path / 'no'}, which is missing"),
-        (tmp_path, tmp_path),
-    ):
-        done = run("record", tmp_path / "a.log", "--town", "Atlantis", env=ENVIRONMENT | {"CARLA_RECAP_MAPS": str(folder)})
-        assert the_line(done.stderr).endswith(str(told))
+    missing = tmp_path / "no"
+    done = run("record", tmp_path / "a.log", "--town", "Atlantis", env=ENVIRONMENT | {"CARLA_RECAP_MAPS": str(missing)})
+    assert the_line(done.stderr).endswith(f"{missing}, which is missing")
 
 
 def test_a_staged_scene_has_the_hero_of_the_scene_alone(tmp_path):
@@ -146,13 +129,6 @@ def test_a_replay_is_recorded_with_what_the_autopilot_drives(tmp_path):
     assert after.x[:21] == pytest.approx(before.x[before.time > 9.999][:21], abs=0.01)
 
 
-def test_the_hero_can_be_left_out(tmp_path):
-    assert run("replay", CRASH, tmp_path / "a.mcap", "--ignore-hero", "--duration", "2", "--then", "1").returncode == 0
-    with open_recording(tmp_path / "a.mcap") as recording:
-        assert not recording.heroes
-        assert recording.info.frames == 62
-
-
 def test_a_replay_in_a_given_town(tmp_path):
     done = run("replay", CROSSING, tmp_path / "a.mcap", "--town", "Brickfield", "--duration", "1", "--then", "0")
     assert done.returncode == 0
@@ -161,17 +137,6 @@ def test_a_replay_in_a_given_town(tmp_path):
     assert "22 frames" in second
     with open_recording(tmp_path / "a.mcap") as recording:
         assert recording.info.map_name == "Brickfield"
-
-
-def test_a_recording_of_an_unknown_map_is_replayed_on_its_corridors(tmp_path):
-    done = run("replay", CROSSING, tmp_path / "a.mcap", "--duration", "1", "--then", "1")
-    assert done.returncode == 0
-    warning, summary = done.stderr.decode().splitlines()
-    assert "crossing.log: there is no map 'Crossing' in the folder" in warning
-    assert "corridors" in warning
-    assert "42 frames" in summary
-    with open_recording(tmp_path / "a.mcap") as recording:
-        assert recording.info.map_name == "Crossing"
 
 
 def test_a_recording_is_not_replayed_onto_itself(tmp_path):

@@ -138,27 +138,9 @@ def test_folders_that_stay_empty_are_removed(runs):
     assert Path("kept").is_dir()
 
 
-def test_a_folder_that_cannot_be_made_is_named(runs):
-    (runs / "file").write_bytes(b"")
-    message = messages(run("convert", "runs/a.log", "runs/file/below/"))[0].removeprefix("carla-recap: ")
-    assert message == "runs/file: is a file; a folder was expected, for the files of many recordings"
-
-
 @pytest.mark.parametrize("sources", [("runs/a.log",), ("runs/a.log", "runs/deep")])
 def test_an_empty_destination_is_refused(runs, sources):
     assert "a path or a URL was expected" in error("convert", *sources, "")
-
-
-def test_a_web_server_takes_no_files(runs):
-    expected = "https://host/x.mcap: a web server takes no files; a path or s3://BUCKET/KEY was expected"
-    assert error("convert", "runs/a.log", "https://host/x.mcap") == expected
-
-
-def test_moments_of_many(runs):
-    assert run("clip", "runs/a.log#t=20,21", "runs/deep/b.mcap#t=3,7", "out").returncode == 0
-    for name, seconds in (("a", 1), ("b", 4)):
-        with open_recording(f"out/{name}.mcap") as clip:
-            assert clip.info.duration == pytest.approx(seconds, abs=0.2)
 
 
 def test_many_are_recovered(runs):
@@ -196,25 +178,15 @@ def test_a_page_of_each(runs):
     assert "goes with one recording" in error("report", "runs", "out", "--compare", CRASH)
 
 
-def test_videos_of_many(runs):
-    pytest.importorskip("moderngl", reason="the extra `video` is not installed")
-    done = run("video", "runs", "out", "--format", "gif", "--duration", 0.3, "--size", "64x64", "--jobs", 2)
-    assert done.returncode == 2, done.stderr
-    assert files(Path("out")) == {"a.gif", "deep/b.gif"}
-
-
 @pytest.mark.parametrize(
     ("command", "word"),
     [
         (("convert", CROSSING, "out.mcap"), "converting"),
-        (("export", CROSSING, "out.csv"), "exporting"),
         (("record", "out.mcap", "--vehicles", 0, "--walkers", 0, "--duration", 1), "simulating"),
-        (("sense", CROSSING, "out.mcap", "--rig", "rig.json"), "sensing"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
 def test_a_terminal_has_a_progress_bar(runs, command, word):
-    Path("rig.json").write_text('[{"type": "sensor.speedometer", "id": "speed"}]')
     code, shown, _ = on_terminal(*command, stream="stderr")
     assert (code, word in shown) == (0, True)
     assert shown.count("\x1b[?25l") == shown.count("\x1b[?25h") > 0  # the cursor is back
