@@ -5,14 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from pathlib import Path
 
 import pytest
 
 from carla_recap.errors import RecapError
+from tests.samples import CROSSING
 from tests.waiting import PATIENCE
-
-SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +21,7 @@ def crossing_rrd(tmp_path_factory):
     from tests.screenshots import ScreenshotTaker
 
     path = tmp_path_factory.mktemp("rerun") / "crossing.rrd"
-    with open_recording(SAMPLE) as recording:
+    with open_recording(CROSSING) as recording:
         export_rerun(recording, path, start=20, duration=6)
     try:
         with ScreenshotTaker(path):

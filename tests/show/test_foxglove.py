@@ -19,7 +19,7 @@ from carla_recap.scene.follow import followed_series
 from carla_recap.show.foxglove import export_foxglove, layout_files
 from carla_recap.town.mesh import town_mesh_of
 from tests.replay.scripts import light, pose, spawn, write
-from tests.samples import ROOT, carla_log
+from tests.samples import CRASH, CROSSING, ROOT, carla_log
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
@@ -27,7 +27,6 @@ pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is n
 from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, panels, raw, read, seen, xyz
 from tests.waiting import PATIENCE
 
-CROSSING = ROOT / "samples" / "crossing.log"
 NODE = ROOT / "tests" / "node"
 HERO, FIRST_LIGHT = 100, 20  # of the crossing
 
@@ -283,8 +282,7 @@ def brickfield():
 
 
 def test_the_town_is_written_at_the_beginning(tmp_path, brickfield):
-    crash = ROOT / "samples" / "crash.mcap"
-    export(crash, tmp_path / "export.mcap", road_map=brickfield, duration=1)
+    export(CRASH, tmp_path / "export.mcap", road_map=brickfield, duration=1)
     ((time, message),) = read(tmp_path / "export.mcap")["/map"]
     assert time == 0
     assert {entity.frame_id for entity in message.entities} == {"world"}

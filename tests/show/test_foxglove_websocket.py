@@ -23,6 +23,7 @@ from carla_recap import MissingExtra, RecapError, clip, export, open_recording
 from carla_recap.cli.capture import watch
 from carla_recap.cli.export import view
 from tests.cli.command import COMMAND, ENVIRONMENT, error
+from tests.samples import CRASH, CROSSING
 from tests.waiting import PATIENCE
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
@@ -37,9 +38,6 @@ from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView, Ti
 from tests.show.foxglove_client import Viewer, connected, decoded
 from tests.show.foxglove_reader import raw
 
-ROOT: Final = Path(__file__).parents[2]
-CROSSING: Final = ROOT / "samples" / "crossing.log"
-CRASH: Final = ROOT / "samples" / "crash.mcap"
 SECOND: Final = 10**9
 PLAY, PAUSE = 0, 1
 PLAYING, PAUSED, ENDED = 0, 1, 3

@@ -21,9 +21,8 @@ from rerun.chunk import RrdReader
 
 from carla_recap import convert
 from carla_recap.show.rerun.importer import FAILED, NOT_OURS
-from tests.samples import log_header, save
+from tests.samples import CROSSING, log_header, save
 from tests.screenshots import ScreenshotTaker
-from tests.show.conftest import SAMPLE
 from tests.waiting import PATIENCE, time_limit
 
 NAME = "rerun-importer-carla-recap"
@@ -43,7 +42,7 @@ def stores(path: Path, data: bytes) -> list[tuple[str, str]]:
 
 
 def damaged_mcap(path: Path) -> bytes:
-    convert(SAMPLE, path)
+    convert(CROSSING, path)
     data = bytearray(path.read_bytes())
     middle = len(data) // 2
     data[middle : middle + 200] = bytes(200)
@@ -102,7 +101,7 @@ def test_a_damaged_recording_is_an_error_of_one_line(tmp_path, name, content):
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
 def test_it_ends_when_the_viewer_has_ended():
-    command = [sys.executable, "-c", RUN, SAMPLE]
+    command = [sys.executable, "-c", RUN, CROSSING]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         try:
@@ -123,7 +122,7 @@ def test_a_full_destination_is_an_error_of_one_line(small):
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
 def test_an_interruption_prints_nothing():
-    command = [sys.executable, "-c", RUN, SAMPLE]
+    command = [sys.executable, "-c", RUN, CROSSING]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
             assert process.stdout.read(4)  # it has begun to send
@@ -159,7 +158,7 @@ def opened(path: Path, seconds: float) -> Iterator[ScreenshotTaker]:
 
 
 def test_the_viewer_opens_a_log(viewer_path):
-    with opened(SAMPLE, 53) as screenshots:
+    with opened(CROSSING, 53) as screenshots:
         state = screenshots.state
     assert len(state.recordings) == 1
     assert {"Chase", "Top", "Map", "Events"} <= {view.name for view in state.views}

@@ -17,9 +17,8 @@ from carla_recap.scene.appearance import look_of
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from tests.cli.command import error
-from tests.samples import names_in
+from tests.samples import CROSSING, names_in
 from tests.scene.glb import boxes, color, glb, square
-from tests.show.conftest import SAMPLE
 
 MAGENTA = (255, 0, 255)
 CAR = boxes(
@@ -59,7 +58,7 @@ def test_a_picture_shows_the_model(folder, tmp_path):
     from carla_recap.show.video import picture
 
     counts = []
-    with open_recording(SAMPLE) as recording:
+    with open_recording(CROSSING) as recording:
         for models in (None, folder):
             use_models(models)
             try:
@@ -108,5 +107,5 @@ def test_textures_are_said_to_be_ignored(tmp_path):
 def test_the_command_ends_before_it_writes(tmp_path):
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "vehicle.audi.tt.glb").write_bytes(b"glTF")
-    assert "vehicle.audi.tt.glb" in error("snapshot", SAMPLE, tmp_path / "out.png", "--models", tmp_path / "models")
+    assert "vehicle.audi.tt.glb" in error("snapshot", CROSSING, tmp_path / "out.png", "--models", tmp_path / "models")
     assert names_in(tmp_path) == ["models"]

@@ -22,17 +22,15 @@ from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.foxglove.layouts import write_layouts
 from tests.replay.scripts import write
 from tests.scene.accidents import CAR, WALKER, accident
+from tests.sensors import cars
 from tests.sensors.cars import (
     AHEAD,
     CAMERA,
-    EXACT,
     HERO,
     HERO_POSE,
     LEFT,
     MOTION,
-    RAYS,
     RIGHT,
-    ROOF,
     STEP,
     car_pose,
     drive,
@@ -44,29 +42,12 @@ from tests.waiting import PATIENCE
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
 from carla_recap.sensors.messages import SensorMessages
-from tests.samples import ROOT
+from tests.samples import CRASH, ROOT
 
-CRASH = ROOT / "samples" / "crash.mcap"
 NODE = ROOT / "tests" / "node"
 FRAMES = 3
 
-RIG = SensorRig.of(
-    [
-        *(
-            {"type": f"sensor.camera.{kind}", "id": id, **CAMERA}
-            for id, kind in (
-                ("front", "rgb"),
-                ("depth", "depth"),
-                ("tags", "semantic_segmentation"),
-                ("ids", "instance_segmentation"),
-            )
-        ),
-        {"type": "sensor.lidar.ray_cast", "id": "lidar", **ROOF, **RAYS, **EXACT},
-        {"type": "sensor.other.gnss", "id": "gnss"},
-        {"type": "sensor.other.imu", "id": "imu"},
-        {"type": "sensor.speedometer", "id": "speed"},
-    ]
-)
+RIG = SensorRig(tuple(cars.RIG[id] for id in ("front", "depth", "tags", "ids", "lidar", "imu", "speed")))
 SCHEMAS = {
     "/sensors/front/image": "foxglove.CompressedImage",
     "/sensors/depth/depth": "foxglove.RawImage",
@@ -74,7 +55,6 @@ SCHEMAS = {
     "/sensors/ids/instance": "foxglove.RawImage",
     **{f"/sensors/{id}/calibration": "foxglove.CameraCalibration" for id in ("front", "depth", "tags", "ids")},
     "/sensors/lidar/points": "foxglove.PointCloud",
-    "/sensors/gnss/fix": "foxglove.LocationFix",
     "/sensors/imu/imu": "carla_recap.v1.ImuReading",
     "/sensors/speed/speed": "carla_recap.v1.SpeedReading",
     "/tf/sensors": "foxglove.FrameTransforms",
@@ -262,12 +242,9 @@ def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_pa
 
 
 def test_layouts_have_a_panel_for_each_image_and_the_points(tmp_path: Path) -> None:
-    images = [("image", "rgb"), ("depth", "depth"), ("semantic", "semantic_segmentation")]
-    names = [f"/sensors/{kind}_camera/{kind}" for kind, _ in images]
-    rig = [{"type": f"sensor.camera.{kind}", "id": f"{name}_camera", **CAMERA} for name, kind in images]
-    rig.append({"type": "sensor.lidar.ray_cast", "id": "lidar", **ROOF})
+    names = ["/sensors/front/image", "/sensors/depth/depth", "/sensors/tags/semantic", "/sensors/ids/instance"]
     with open_recording(CRASH) as recording:
-        messages = SensorMessages(SensorRig.of(rig), recording.header)
+        messages = SensorMessages(RIG, recording.header)
     layouts = write_layouts(tmp_path / "run.mcap", messages.topics)
     assert [path.name for path in layouts.values()] == ["run.foxglove.json", "run.lichtblick.json"]
     both = [json.loads(path.read_text()) for path in layouts.values()]

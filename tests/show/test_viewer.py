@@ -19,8 +19,8 @@ import psutil
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
 from carla_recap.show.rerun.viewer import view
+from tests.samples import CROSSING
 from tests.screenshots import ScreenshotTaker
-from tests.show.conftest import SAMPLE
 from tests.waiting import PATIENCE, time_limit, wait_until
 
 SERVE = """
@@ -38,7 +38,7 @@ def served(temporary):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = [sys.executable, "-c", SERVE, SAMPLE, str(port)]
+    command = [sys.executable, "-c", SERVE, CROSSING, str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             url = process.stdout.readline().strip()
@@ -80,7 +80,7 @@ def test_a_closed_terminal_ends_the_viewer(served):
 def test_a_closed_stdout_ends_the_viewer(temporary):
     code = f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{SERVE}"
     with subprocess.Popen(
-        [sys.executable, "-c", code, SAMPLE, "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", code, CROSSING, "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
         process.stdout.close()
         assert process.wait(PATIENCE) in (0, -signal.SIGPIPE)
@@ -113,5 +113,5 @@ def test_a_window_that_does_not_open_is_an_error(temporary, monkeypatch, display
         monkeypatch.delenv(name, raising=False)
     if display:
         monkeypatch.setenv("DISPLAY", display)
-    with open_recording(SAMPLE) as recording, time_limit(), pytest.raises(RecapError, match=message):
+    with open_recording(CROSSING) as recording, time_limit(), pytest.raises(RecapError, match=message):
         view(recording, **options)

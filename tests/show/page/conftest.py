@@ -20,8 +20,8 @@ from carla_recap.replay import Player
 from carla_recap.show.page import write_report
 from carla_recap.show.page.samples import SampledReplay, Sampler
 from tests.replay.scripts import write
+from tests.samples import CROSSING
 
-CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"
 """Text that breaks a page that does not escape it."""
 

@@ -11,7 +11,8 @@ from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.show.page.base_map import LAYERS, base_map, outlines
 from carla_recap.town.mesh import TownMesh, load_town_mesh
-from tests.show.page.conftest import CROSSING, sampled
+from tests.samples import CROSSING
+from tests.show.page.conftest import sampled
 
 BRICKFIELD = Path(__file__).parents[3] / "src" / "carla_recap" / "sim" / "towns" / "Brickfield.xodr"
 
@@ -26,14 +27,6 @@ def mesh(points: list[tuple[float, float]], triangles: list[tuple[int, int, int]
     vertices = np.column_stack((np.array(points, np.float32), np.zeros(len(points), np.float32))).astype(np.float32)
     up = np.tile(np.array([0, 0, 1], np.float32), (len(points), 1))
     return Mesh(vertices, up, np.full(len(points), material, np.uint8), np.array(triangles, np.uint32))
-
-
-def test_two_triangles_have_one_outline() -> None:
-    square = mesh([(0, 0), (4, 0), (4, 2), (0, 2)], [(0, 1, 2), (0, 2, 3)], Material.ROAD)
-    (found,) = outlines(TownMesh("", [square]))
-    assert found.layer == "road"
-    assert sorted(map(tuple, found.rings[0].tolist())) == [(0, 0), (0, 2), (4, 0), (4, 2)]
-    assert area(found.rings[0]) == pytest.approx(8)
 
 
 def test_a_hole_runs_the_other_way_around() -> None:

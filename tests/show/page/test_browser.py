@@ -11,9 +11,9 @@ from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page import Opening
 from tests.replay.scripts import spawn, write
-from tests.samples import carla_log, names_in
+from tests.samples import CROSSING, carla_log, names_in
 from tests.scene.accidents import accident
-from tests.show.page.conftest import CROSSING, NASTY, data, record, report
+from tests.show.page.conftest import NASTY, data, record, report
 from tests.show.page.pages import Page
 
 if TYPE_CHECKING:

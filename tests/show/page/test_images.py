@@ -22,9 +22,9 @@ from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.show.page import images as module
 from carla_recap.show.page import write_report
 from tests.cli.command import error
-from tests.samples import drive
+from tests.samples import CROSSING, drive
 from tests.sensed import HEADER, camera, filmed
-from tests.show.page.conftest import CROSSING, WITHOUT_ROADS, report
+from tests.show.page.conftest import WITHOUT_ROADS, report
 from tests.show.page.pages import Page, emulated
 
 if TYPE_CHECKING:

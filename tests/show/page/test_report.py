@@ -12,7 +12,8 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.show.page import Opening, samples, write_report
 from carla_recap.town.mesh import load_town_of
 from tests.replay.scripts import pose, spawn
-from tests.show.page.conftest import CROSSING, WITHOUT_ROADS, data, lying, marks, record, report
+from tests.samples import CROSSING
+from tests.show.page.conftest import WITHOUT_ROADS, data, lying, marks, record, report
 
 
 def test_the_summary_is_that_of_the_recording(crossing_page: Path) -> None:

@@ -16,7 +16,8 @@ from carla_recap.show.page import samples
 from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data, recording_data
 from tests.replay.scripts import pose, spawn
-from tests.show.page.conftest import CROSSING, data, record, report, sampled, unpack
+from tests.samples import CROSSING
+from tests.show.page.conftest import data, record, report, sampled, unpack
 
 
 def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 from carla_recap import IncidentOptions, open_recording, write_report
 from carla_recap.show.page.script import Packer
 from tests.replay.scripts import spawn
-from tests.samples import names_in
-from tests.show.page.conftest import CROSSING, data, record, report, unpack
+from tests.samples import CROSSING, names_in
+from tests.show.page.conftest import data, record, report, unpack
 from tests.show.page.pages import Page
 from tests.waiting import wait_until
 

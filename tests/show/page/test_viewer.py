@@ -11,9 +11,9 @@ from carla_recap import RecapError
 from carla_recap.show.page import page_server, samples
 from tests.browser import browser
 from tests.replay.scripts import write
-from tests.samples import names_in
+from tests.samples import CROSSING, names_in
 from tests.scene.accidents import accident
-from tests.show.page.conftest import CROSSING, data, report
+from tests.show.page.conftest import data, report
 from tests.waiting import wait_until
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")

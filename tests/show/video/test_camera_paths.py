@@ -45,15 +45,8 @@ def instances(*centres: tuple[float, float, float], half: Any = CAR) -> Instance
     return boxes(*centres, half=half, ids=range(1, len(centres) + 1))
 
 
-class Moment:
-    """What camera paths read of a scene."""
-
-    def __init__(self, time: float = 0.0) -> None:
-        self.time = time
-
-
 def camera(view: Any, filmed: Subject | None, size: tuple[int, int] = SIZE, seen: Instances | None = None) -> Any:
-    return camera_path(view, size).camera(Moment(), seen or instances(), filmed)  # type: ignore[arg-type]
+    return camera_path(view, size).camera(SimpleNamespace(time=0.0), seen or instances(), filmed)  # type: ignore[arg-type]
 
 
 def box(filmed: Subject) -> Any:
@@ -97,7 +90,7 @@ def test_top_shows_more_at_speed_and_zooms_slowly() -> None:
     spans = []
     for time, speed in ((0.0, 0.0), (0.1, 20.0), (0.2, 20.0), (20.0, 20.0)):
         filmed = subject(speed=speed)
-        scale = pixels_per_metre(path.camera(Moment(time), instances(), filmed), 1.0)  # type: ignore[arg-type]
+        scale = pixels_per_metre(path.camera(SimpleNamespace(time=time), instances(), filmed), 1.0)  # type: ignore[arg-type]
         spans.append(720 / scale)  # type: ignore[operator]
     assert spans[0] == pytest.approx(42)
     assert spans[0] < spans[1] < spans[2] < spans[0] + 8
