@@ -61,18 +61,6 @@ def bodies(topics, until: float = math.inf):
     return {id: entity for topic in BODIES for id, entity in seen(topics[topic], until).items()}
 
 
-def moves(topics, id: int, until: float = math.inf):
-    """Return the times and the transforms of the frame of an actor."""
-    found = [
-        (time, transform)
-        for topic in ("/tf/actors", "/tf/still")
-        for time, message in topics[topic]
-        for transform in message.transforms
-        if transform.child_frame_id == f"actor {id}" and time <= until + 1e-6
-    ]
-    return sorted(found, key=lambda pair: pair[0])
-
-
 def corners(entity):
     """Return the points of the triangles of an entity."""
     return np.array([xyz(point) for shape in entity.triangles for point in shape.points])

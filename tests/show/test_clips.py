@@ -14,20 +14,12 @@ from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.roads import RoadMap
 from carla_recap.show.clips import IncidentClip, clips
 from carla_recap.show.rerun import export as rrd
-from tests.samples import CROSSING, images, names_in, save
+from tests.samples import CROSSING, images, names_in
 
 
-@pytest.fixture(scope="session")
-def crossing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The sample in each format."""
-    other = tmp_path_factory.mktemp("crossing") / "crossing.mcap"
-    convert(CROSSING, other)
-    return {".log": CROSSING, ".mcap": other}
-
-
-def test_clips(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_clips(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
-    written = clips(crossing[".mcap"], tmp_path / "clips", before=2.0, after=1.0)
+    written = clips(CROSSING, tmp_path / "clips", before=2.0, after=1.0)
     names = ["01-collision-20.9s-105-110", "02-collision-24.6s-100-101"]
     assert names_in(tmp_path / "clips") == sorted(name + suffix for name in names for suffix in (".mcap", ".rrd"))
     for found, name in zip(written, names, strict=True):
@@ -39,8 +31,8 @@ def test_clips(crossing: dict[str, Path], tmp_path: Path) -> None:
     assert b".partial" not in written[0].rrd.read_bytes()
 
 
-def test_clips_of_all_kinds(crossing: dict[str, Path], tmp_path: Path) -> None:
-    written = clips(crossing[".log"], tmp_path, IncidentOptions(), before=0, after=0, suffix=".log", rerun=False)
+def test_clips_of_all_kinds(tmp_path: Path) -> None:
+    written = clips(CROSSING, tmp_path, IncidentOptions(), before=0, after=0, suffix=".log", rerun=False)
     assert [found.recording.name for found in written] == names_in(tmp_path)
     assert [found.incident.kind for found in written] == ["blocked", "collision", "hard braking", "collision"]
     assert written[2].recording.name == "03-hard-braking-23.5s-100.log"
@@ -58,9 +50,9 @@ def test_a_clip_of_an_instant_has_one_frame(tmp_path: Path) -> None:
     assert len(images(found.recording)) == 1
 
 
-def test_more_incidents_than_the_limit_are_a_warning(crossing: dict[str, Path], tmp_path: Path) -> None:
+def test_more_incidents_than_the_limit_are_a_warning(tmp_path: Path) -> None:
     with pytest.warns(RecapWarning, match="only the first 1 of 2 incidents"):
-        written = clips(crossing[".log"], tmp_path / "clips", limit=1, rerun=False)
+        written = clips(CROSSING, tmp_path / "clips", limit=1, rerun=False)
     assert [type(found) for found in written] == [IncidentClip]
 
 
@@ -104,11 +96,13 @@ def test_a_long_incident(tmp_path: Path) -> None:
     assert 60 <= len(images(found.recording)) <= 66
 
 
-def test_clips_are_not_written_over_their_source(crossing: dict[str, Path], tmp_path: Path) -> None:
-    source = save(tmp_path / "01-collision-20.9s-105-110.mcap", crossing[".mcap"].read_bytes())
+def test_clips_are_not_written_over_their_source(tmp_path: Path) -> None:
+    source = tmp_path / "01-collision-20.9s-105-110.mcap"
+    convert(CROSSING, source)
+    content = source.read_bytes()
     with pytest.raises(RecapError, match="is the source itself"):
         clips(source, tmp_path, rerun=False, force=True)
-    assert source.read_bytes() == crossing[".mcap"].read_bytes()
+    assert source.read_bytes() == content
 
 
 @pytest.mark.parametrize(
@@ -119,9 +113,7 @@ def test_clips_are_not_written_over_their_source(crossing: dict[str, Path], tmp_
         ({"suffix": ".txt"}, r"unknown format '\.txt'"),
     ],
 )
-def test_invalid_options_are_errors(
-    crossing: dict[str, Path], tmp_path: Path, options: dict[str, Any], message: str
-) -> None:
+def test_invalid_options_are_errors(tmp_path: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(RecapError, match=message):
-        clips(crossing[".log"], tmp_path / "clips", rerun=False, **options)
+        clips(CROSSING, tmp_path / "clips", rerun=False, **options)
     assert names_in(tmp_path) == []

@@ -76,17 +76,6 @@ def test_a_closed_terminal_ends_the_viewer(served):
     assert not [child for child in children if child.is_running()]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
-def test_a_closed_stdout_ends_the_viewer(temporary):
-    code = f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{SERVE}"
-    with subprocess.Popen(
-        [sys.executable, "-c", code, CROSSING, "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
-        process.stdout.close()
-        assert process.wait(PATIENCE) in (0, -signal.SIGPIPE)
-        assert process.stderr.read() == b""
-
-
 def test_the_browser_gets_the_recording(served, crossing_rrd):
     (source,) = parse_qs(urlsplit(served[1]).query)["url"]
     with ScreenshotTaker(source) as screenshots:

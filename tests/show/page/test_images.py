@@ -115,14 +115,6 @@ def test_the_images_of_a_page_have_a_bounded_size(tmp_path: Path, monkeypatch: p
     assert found["longest"] == 1.0
 
 
-def test_recordings_without_images_have_pages_without_them(tmp_path: Path, crossing_page: Path) -> None:
-    assert shown(crossing_page) is None
-    source = filmed(tmp_path / "a.mcap", {"ahead": (0.0, {})})
-    with open_recording(source) as recording:
-        assert write_report(recording, tmp_path / "page.html", WITHOUT_ROADS).images == 0
-    assert shown(tmp_path / "page.html") is None
-
-
 def test_a_camera_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     source = filmed(tmp_path / "a.mcap", {"ahead": (0.0, COLORS), "back": (180.0, COLORS)})
     arguments = "--camera", "front", "--kinds", "collision"
