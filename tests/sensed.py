@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from carla_recap import open_recording
-from carla_recap.formats.base import Topic
+from carla_recap.formats.base import Topic, TopicMessage
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
 from tests.samples import CRASH, drive
@@ -72,6 +72,20 @@ def filmed(path: Path, cameras: Mapping[str, tuple[float, Mapping[float, Any]]],
                 for message in messages.of([Sample(rig[id], time, np.zeros(6), image)]):
                     writer.write_message(*message)
     return path
+
+
+def topics_of(path: Path) -> dict[str, tuple[Any, ...]]:
+    """All that a file has of further topics, but for the groups' names and the schemas, which are read here."""
+    with open_recording(path) as recording:
+        return {
+            name: (found.topic.message, found.topic.schema(), found.topic.metadata, found.count, found.first, found.last)
+            for name, found in recording.reader.further_topics().items()
+        }
+
+
+def messages_of(path: Path) -> list[TopicMessage]:
+    with open_recording(path) as recording:
+        return list(recording.reader.further_messages())
 
 
 def sensed_crash(path: Path, sensors: list[dict[str, Any]], start: float = 11.0, stop: float = 13.0) -> Path:

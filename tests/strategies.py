@@ -24,7 +24,7 @@ surplus = st.one_of(st.just(b""), st.just(b""), st.binary(max_size=3))
 texts = st.one_of(
     st.text(max_size=8).map(str.encode),
     st.binary(max_size=8),
-    st.sampled_from([b"", b"\0", b"role_name", b"\xff\xfe", b"\xed\xa0\x80"]),
+    st.sampled_from([b"", b"\0", b"role_name", b"\xff\xfe", b"\xed\xa0\x80", b"x" * 300]),
 )
 real64 = st.one_of(
     st.floats(0, 20), st.floats(), st.binary(min_size=8, max_size=8).map(lambda data: struct.unpack("<d", data)[0])
@@ -32,8 +32,9 @@ real64 = st.one_of(
 
 
 def reals(table: Table, count: int) -> SearchStrategy[bytes]:
-    size = count * (8 if table.wide else 4)
-    return st.binary(min_size=size, max_size=size)
+    """Return numbers of any bits; some are signalling NaNs, of which protobuf makes quiet ones."""
+    nan = struct.pack("<Q", 0x7FF2 << 48) if table.wide else struct.pack("<I", 0x7FA2 << 16)
+    return st.one_of(sized(count * len(nan)), st.just(nan * count))
 
 
 def sized(count: int) -> SearchStrategy[bytes]:
@@ -68,11 +69,11 @@ def wheel_records() -> SearchStrategy[bytes]:
 def physics_packets() -> SearchStrategy[list[bytes]]:
     """Return strategies for both layouts of wheels; a packet has one of them."""
 
-    def of(wheel: int) -> SearchStrategy[bytes]:
-        curve = counted("<I", sized(8), 2)
-        return joined(sized(24), flags, sized(28), curve, counted("<I", sized(12), 2), curve, counted("<I", sized(wheel), 4))
+    def of(numbers: int) -> SearchStrategy[bytes]:
+        curve, wheels = counted("<I", sized(8), 2), counted("<I", reals(UE4, numbers), 4)
+        return joined(sized(24), flags, sized(28), curve, counted("<I", sized(12), 2), curve, wheels)
 
-    return st.one_of(st.lists(of(48), max_size=2), st.lists(of(36), max_size=2))
+    return st.one_of(st.lists(of(12), max_size=2), st.lists(of(9), max_size=2))
 
 
 def fixed_records(type: RecordType) -> SearchStrategy[bytes]:
@@ -116,17 +117,33 @@ def packets(table: Table, extra: SearchStrategy[bytes] = surplus) -> SearchStrat
     return st.one_of(known, known, empty, unknown, end)
 
 
-def frame_lists(table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64) -> SearchStrategy[list[Frame]]:
-    """Return frames; the first packets are given, so that the reader can detect the dialect."""
+def varied(packet: Packet, number: int) -> Packet:
+    """Return a packet of the same size with another last byte, if any bytes are its records."""
+    if packet.type is None or not packet.type.fixed or len(packet.payload) < 3:
+        return packet
+    return Packet(packet.id, packet.type, packet.payload[:-1] + bytes((packet.payload[-1] ^ number % 3,)))
 
-    def build(parts: list[tuple[int, float, float, list[Packet]]], preamble: list[Packet] | None) -> list[Frame]:
+
+def frame_lists(
+    table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64, alike: tuple[int, ...] = (1,)
+) -> SearchStrategy[list[Frame]]:
+    """Return frames, each as often as one of some numbers, but for its times and the numbers in it.
+
+    The first packets are given, so that the reader can detect the dialect.
+    """
+
+    def build(parts: list[tuple[int, float, float, list[Packet], int]], preamble: list[Packet] | None) -> list[Frame]:
         frames = [] if preamble is None else [Frame(0, 0, 0.0, 0.0, first + preamble, preamble=True)]
-        for id, at, duration, found in parts:
-            frames.append(Frame(len(frames), id, at, duration, found if frames else first + found))
+        for id, at, duration, found, count in parts:
+            for number in range(count):
+                packets = [varied(packet, number) for packet in found]
+                packets = packets if frames else first + packets
+                frames.append(Frame(len(frames), (id + number) % (1 << 64), at + number / 20, duration, packets))
         return frames
 
     # A frame is what lies between two starts.
-    body = st.tuples(st.integers(0, (1 << 64) - 1), elapsed, real64, st.lists(packets(table), max_size=6))
+    found = st.lists(packets(table), max_size=6)
+    body = st.tuples(st.integers(0, (1 << 64) - 1), elapsed, real64, found, st.sampled_from(alike))
     preamble = st.one_of(st.none(), st.none(), st.lists(packets(table), max_size=3))
     if not first:
         preamble = st.none()
@@ -158,11 +175,11 @@ def signature(*, wide: bool, shifted: bool) -> list[Packet]:
 
 
 @st.composite
-def recordings(draw: st.DrawFn) -> tuple[Header, list[Frame]]:
-    """Return a header and frames, in any dialect."""
+def recordings(draw: st.DrawFn, alike: tuple[int, ...] = (1,)) -> tuple[Header, list[Frame]]:
+    """Return a header and frames, in any dialect; see `frame_lists`."""
     wide, shifted = draw(st.sampled_from([(False, False), (False, False), (True, False), (False, True), (True, True)]))
     header = draw(headers(wide=wide, shifted=shifted))
-    frames = draw(frame_lists(header.table, signature(wide=wide, shifted=shifted)))
+    frames = draw(frame_lists(header.table, signature(wide=wide, shifted=shifted), alike=alike))
     if not frames:
         # Nothing tells the dialect of a recording without a packet.
         header = Header(header.map_name, header.date, header.version, raw=header.raw)

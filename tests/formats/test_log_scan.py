@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import pytest
@@ -14,15 +15,10 @@ from hypothesis import strategies as st
 from carla_recap.errors import FormatError
 from carla_recap.formats.carla_log import SHIFT, LogReader
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.records import UE4
+from carla_recap.model.records import UE4, RecordType
 from tests import strategies
 from tests.samples import double, image, listed, log_header, packet, save, start, transform, warnings_ignored
 from tests.twins import log_frames as twin
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from carla_recap.model.records import RecordType
 
 NAMES = ("spawned", "collisions", "transforms", "velocities", "frame_end", "weather")
 

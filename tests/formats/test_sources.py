@@ -13,15 +13,14 @@ from tests.samples import save
 
 
 @pytest.mark.parametrize(
-    "location", ["runs/a.mcap", "C:\\runs\\a.mcap", "s3:/a.mcap", "file:///a.mcap", Path("s3://a.mcap")]
+    ("remote", "locations"),
+    [
+        (False, ["runs/a.mcap", "C:\\runs\\a.mcap", "s3:/a.mcap", "file:///a.mcap", Path("s3://a.mcap")]),
+        (True, ["s3://b/a.mcap", "S3://b/a.mcap", "abfss://fs@account.dfs/a.mcap", "https://h/a.mcap"]),
+    ],
 )
-def test_local_files(location):
-    assert not is_remote(location)
-
-
-@pytest.mark.parametrize("location", ["s3://b/a.mcap", "S3://b/a.mcap", "abfss://fs@account.dfs/a.mcap", "https://h/a.mcap"])
-def test_urls(location):
-    assert is_remote(location)
+def test_what_is_a_url(remote, locations):
+    assert {is_remote(location) for location in locations} == {remote}
 
 
 @pytest.mark.parametrize(

@@ -28,60 +28,25 @@ def slowing(deceleration: float, start: float = 1.0, seconds: float = 1.0, speed
     return lambda time: speed - deceleration * min(max(time - start, 0.0), seconds)
 
 
-def detected(
-    cars: Mapping[int, Speed],
-    threshold: float = 6.0,
-    *,
-    frames: int = 60,
-    has_velocities: bool = True,
-    known: int = 100,
-    tick: float = TICK,
-    every: int = 1,
-) -> BrakingDetector:
-    """Return a detector that got the drive of cars to the east; ids below one are vehicles, which are not in all frames."""
-    detector = BrakingDetector([id for id in cars if id < known], threshold)
+def detected(cars: Mapping[int, Speed], *, frames: int = 60) -> BrakingDetector:
+    """Return a detector that got the drive of cars to the east; ids below 100 are known vehicles."""
+    detector = BrakingDetector([id for id in cars if id < 100], 6.0)
     way = dict.fromkeys(cars, 0.0)
     for number in range(frames):
-        time = number * tick
-        there = [id for id in cars if number % every == 0 or id >= known]
-        poses = [(id, 100 * way[id], 100.0 * id, 0.0, 0.0, 0.0, 0.0) for id in there]
-        records = {"transforms": poses}
-        if has_velocities:
-            records["velocities"] = [(id, cars[id](time), 0.0, 0.0, 0.0, 0.0, 0.0) for id in there]
-        detector.batch(Batch.of(Frame(number, number + 1, time, tick, []).replace(**records)))
+        poses = [(id, 100 * way[id], 100.0 * id, 0.0, 0.0, 0.0, 0.0) for id in cars]
+        detector.batch(Batch.of(Frame(number, number + 1, number * TICK, TICK, []).replace(transforms=poses)))
         for id, speed in cars.items():
-            way[id] += speed(time + tick / 2) * tick
+            way[id] += speed((number + 0.5) * TICK) * TICK
     return detector
 
 
-@pytest.mark.parametrize("has_velocities", [True, False])
-def test_braking_is_found_with_place_and_speed(has_velocities: bool) -> None:
-    detector = detected({1: slowing(7), 2: slowing(5), 3: slowing(-7)}, has_velocities=has_velocities)
+def test_braking_is_found_with_place_and_speed() -> None:
+    detector = detected({1: slowing(7), 2: slowing(5), 3: slowing(-7)})
     (found,) = detector.finish()
     assert (found.id, found.y) == (1, 100)
     assert (found.start, found.stop) == pytest.approx((1.05, 1.95), abs=0.11)
     assert found.speed == pytest.approx(20 - 7 * (found.start - 1), abs=0.1)
     assert found.x == pytest.approx(100 * (20 * found.start - 3.5 * (found.start - 1) ** 2), abs=5)
-    deceleration, time = detector.hardest(1, found.start, found.stop)
-    assert deceleration == pytest.approx(7, abs=0.01)
-    assert found.start <= time <= found.stop
-
-
-@pytest.mark.parametrize(("threshold", "count"), [(6.999, 1), (7.001, 0)])
-def test_it_is_hard_from_the_threshold_on(threshold: float, count: int) -> None:
-    assert len(detected({1: slowing(7)}, threshold).finish()) == count
-
-
-@pytest.mark.parametrize(("deceleration", "seconds", "count"), [(7, 0.45, 0), (7, 0.5, 1), (30, 0.05, 0), (30, 0.15, 1)])
-def test_it_loses_as_much_speed_as_in_three_tenths_of_a_second(deceleration: float, seconds: float, count: int) -> None:
-    """Speeds of 0.1 s before and after a moment count, too."""
-    assert len(detected({1: slowing(deceleration, seconds=seconds)}, 6.99).finish()) == count
-
-
-@pytest.mark.parametrize(("pause", "count"), [(0.6, 1), (1.5, 2)])
-def test_braking_again_within_a_second_is_one(pause: float, count: int) -> None:
-    first, second = slowing(7), slowing(7, 2.0 + pause)
-    assert len(detected({1: lambda time: first(time) + second(time)}, frames=100).finish()) == count
 
 
 def test_the_hardest_moment_is_within_the_given_time() -> None:
@@ -94,33 +59,6 @@ def test_the_hardest_moment_is_within_the_given_time() -> None:
     assert detector.hardest(1, time, time) == (deceleration, time)
     assert np.isnan(detector.hardest(1, 0, 0.5)).all()
     assert np.isnan(detector.hardest(2, 0, 5)).all()
-
-
-@pytest.mark.parametrize(
-    ("deceleration", "seconds", "is_possible"), [(34.3, 0.6, True), (34.4, 0.6, False), (36, 0.1, True), (40, 0.1, False)]
-)
-def test_tyres_have_a_limit(deceleration: float, seconds: float, is_possible: bool) -> None:
-    """Also between two frames, by a tenth more: of 40 m/s² for 0.1 s, the deceleration that is smoothed is below it."""
-    detector = detected({1: slowing(deceleration, seconds=seconds, speed=40)})
-    (found,) = detector.finish()
-    assert detector.by_tyres(found) == (found if is_possible else None)
-    assert detector.by_tyres(other := found._replace(id=2)) == other  # nothing is known of it
-
-
-@pytest.mark.parametrize(("brakes", "crash"), [(1.0, 2.0), (1.0, 2.6), (1.0, 0.5)])
-def test_braking_beside_a_stop_that_no_brakes_can_do_counts(brakes: float, crash: float) -> None:
-    """Also within a second, from its own beginning to its own end."""
-    one, other = slowing(8, brakes), slowing(60, crash, 0.1, 30)
-    detector = detected({1: lambda time: one(time) + other(time)}, frames=80)
-    (all,) = detector.finish()
-    found = detector.by_tyres(all)
-    assert found is not None
-    assert 0.9 <= found.start <= 1.1
-    assert 1.8 <= found.stop <= 2.1
-    assert found.speed == pytest.approx(one(found.start) + other(found.start), abs=0.1)
-    deceleration, time = detector.hardest(1, found.start, found.stop)
-    assert 8 <= deceleration <= 34.4
-    assert 1.0 <= time <= 2.0
 
 
 def test_a_vehicle_whose_spawn_comes_after_its_records_is_reported() -> None:

@@ -59,12 +59,6 @@ def test_an_actor_is_attached_whose_parent_is_in_the_frame_of_its_spawn(seconds:
     assert [life.attached for life in lives_of(first, second, seconds=seconds)] == [False, True]
 
 
-def test_places_are_in_metres_and_right_handed() -> None:
-    life = ActorLife.of(CAR, 0.0)
-    assert life.place == (1.0, -2.0, 3.0)
-    assert life.spawn_pose.tolist() == [100.0, 200.0, 300.0, 0.0, 0.0, 0.0]
-
-
 def test_what_a_text_calls_an_actor() -> None:
     lives = ActorLives([ActorLife.of(CAR, 0.0), ActorLife.of(CAMERA, 0.0)])
     assert [lives.name(id, 0.0) for id in (7, 8, 9)] == ["hero", "sensor.c (8)", "actor 9"]

@@ -30,11 +30,6 @@ def test_a_longer_step_is_a_jump(seconds: float, speed: float, least: float, ste
     assert possible_step(seconds, speed, least=least) == pytest.approx(step)
 
 
-def test_steps_of_several_actors() -> None:
-    speed = np.array([[np.nan, 10.0], [40.0, np.nan]])
-    assert possible_step(np.array([0.1, 0.2]), speed).tolist() == [[10.0, 6.0], [12.0, 20.0]]
-
-
 def test_runs_of_flagged_frames() -> None:
     flags = np.array([True, True, False, True, True, True])
     assert list(runs(flags, np.array([True, True, True, False, True]))) == [(0, 1), (3, 3), (4, 5)]

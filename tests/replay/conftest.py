@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from carla_recap import open_recording
-from tests.replay.scripts import write
+from carla_recap import Recording, open_recording
+from tests.replay.scripts import Script, write
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from carla_recap import Recording
-    from tests.replay.scripts import Script
-
-    Record = Callable[..., Recording]
+Record = Callable[..., Recording]
 
 
 @pytest.fixture(params=[".log", ".mcap"])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -11,11 +12,8 @@ from hypothesis import strategies as st
 from carla_recap import ActorKind, Attribute, Spawn, create_recording
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import Frame, Header, Packet
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from carla_recap.replay import Scene
+from carla_recap.model.records import NO_ACTOR
+from carla_recap.replay import Scene
 
 Script = Mapping[str, Any]  # records by type
 
@@ -128,6 +126,9 @@ FRAMES = st.fixed_dictionaries(
         "velocities": few(st.builds(velocity, IDS, st.integers(0, 9))),
         "bounding_boxes": few(st.tuples(IDS, *[st.integers(0, 9)] * 6), 1),
         "scene_lights": few(st.tuples(IDS, *[st.integers(0, 1)] * 7), 1),
+        "collisions": few(st.tuples(IDS, IDS, st.sampled_from([2, NO_ACTOR]), st.integers(0, 1), st.integers(0, 1)), 1),
+        "walker_controls": few(st.tuples(IDS, st.integers(0, 9)), 1),
+        "vehicle_lights": few(st.tuples(IDS, st.integers(0, 9)), 1),
     }
 )
 

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap import RecapWarning, convert, open_recording
+from carla_recap import RecapWarning, Recording, convert, open_recording
 from carla_recap.model.frame import Header
-from carla_recap.replay import Player
+from carla_recap.replay import Player, SceneBatch
+from carla_recap.replay.player import LiveScenes
+from tests.replay.conftest import Record
 from tests.replay.scripts import FRAMES, build, pose, spawn, state, write
 from tests.samples import CROSSING, carla_log
 
-if TYPE_CHECKING:
-    from pathlib import Path
 
-    from carla_recap import Recording
-    from carla_recap.replay import SceneBatch
-    from tests.replay.conftest import Record
-
-
-def same_scenes(recording: Recording, **options: Any) -> list[SceneBatch]:
-    """Compare the scenes of batches with those of single frames, and return the batches."""
+def same_scenes(recording: Recording, *, is_live: bool = False, **options: Any) -> list[SceneBatch]:
+    """Compare the scenes of batches, and of frames as they come, with those of single frames, and return the batches."""
     expected = [(state(scene), scene.events, scene.fresh) for scene in Player(recording, **options).scenes()]
+    if is_live:
+        live = LiveScenes()
+        found = [live.scene(frame) for frame in recording]
+        assert repr([state(scene) for scene in found]) == repr([scene for scene, *_ in expected])
+        assert repr([scene.events for scene in found[1:]]) == repr([events for _, events, _ in expected[1:]])
     batches = list(Player(recording, **options).batches())
     scenes = [scene for batch in batches for scene in batch]
     found = [(state(scene), scene.events, scene.fresh) for scene in scenes]
@@ -45,13 +46,13 @@ def test_batches_of_real_recordings(name: str, suffix: str, tmp_path: Path) -> N
         assert sum(map(len, batches)) > 3 * len(batches)
 
 
-@given(frames=st.lists(FRAMES, min_size=1, max_size=8), start=st.floats(0, 1))
+@given(frames=st.lists(FRAMES, min_size=1, max_size=8), start=st.one_of(st.none(), st.floats(0, 1)))
 @pytest.mark.parametrize("kind", [".log", ".mcap"])
-def test_batches_of_any_recording(tmp_path_factory: pytest.TempPathFactory, kind: str, frames, start: float) -> None:
+def test_batches_of_any_recording(tmp_path_factory: pytest.TempPathFactory, kind: str, frames, start: float | None) -> None:
     repeated = [frame for frame in frames for _ in range(2)]
     path = write(tmp_path_factory.mktemp("any") / f"any{kind}", repeated, tick=0.5)
     with open_recording(path) as recording:
-        same_scenes(recording, start=start * recording.info.duration)
+        same_scenes(recording, start=(start or 0) * recording.info.duration, is_live=start is None)
 
 
 @pytest.mark.parametrize(
@@ -72,17 +73,6 @@ def test_a_batch_ends_where_ids_change(record: Record) -> None:
     assert [batch.ids.tolist() for batch in batches if len(batch) > 1] == [[1, 2], [1, 2], [2, 3]]
 
 
-def test_events_are_in_the_first_scene(record: Record) -> None:
-    frames = [{"transforms": [pose(1, n)]} for n in range(9)]
-    frames[4] |= {"spawned": [spawn(2)], "doors": [(2, 1, 1)]}
-    first = 0
-    for batch in same_scenes(record(*frames)):
-        assert bool(batch.events) == (first == 4)
-        assert batch.doors.get(2) == ({1} if first >= 4 else None)
-        first += len(batch)
-    assert first == 9
-
-
 def test_arrays_of_a_batch(record: Record) -> None:
     frames = [{"transforms": [pose(2), pose(1, 100 * n)], "vehicle_controls": [(1, 0, n / 8, 0, 0, 1)]} for n in range(5)]
     frames[0] |= {"spawned": [spawn(1), spawn(2), spawn(3, x=5), spawn(4, x=10)], "parented": [(4, 1)]}
@@ -95,17 +85,3 @@ def test_arrays_of_a_batch(record: Record) -> None:
     assert batch.pose_of(5) is None
     with pytest.raises(ValueError, match="read-only"):
         batch.poses[0, 0, 0] = 1
-
-
-def test_progress_is_given_all_scenes(record: Record) -> None:
-    seen = []
-
-    def progress(scenes, player):
-        for scene in scenes:
-            seen.append(scene.time)
-            yield scene
-
-    recording = record(*({"transforms": [pose(1, n)]} for n in range(6)))
-    batches = list(Player(recording).batches(progress))
-    assert seen == [0, 1, 2, 3, 4, 5]
-    assert sum(map(len, batches)) == 6

@@ -14,22 +14,18 @@ from carla_recap.replay import calm_heading, calm_headings, chase, level, top
 CAR = np.array([100.0, 200, 30, 5, 10, 90])  # looks along y, rolls and pitches
 
 
-def test_chase() -> None:
-    assert chase(CAR) == pytest.approx([100, -800, 530, 0, -25, 90])
-
-
-def test_chase_has_a_level_horizon_and_stays_above() -> None:
-    upside_down = np.array([0.0, 0, 0, 180, 80, 0])
-    assert chase(upside_down) == pytest.approx([-1000, 0, 500, 0, -25, 0])
-
-
-def test_chase_with_options() -> None:
-    assert chase(CAR, 180.0, back=100, up=50, pitch=-5) == pytest.approx([200, 200, 80, 0, -5, 180])
-
-
-def test_top() -> None:
-    assert top(CAR).tolist() == [100, 200, 4030, 0, -90, 90]
-    assert top(CAR, 0.0).tolist() == [100, 200, 4030, 0, -90, 0]
+@pytest.mark.parametrize(
+    ("camera", "expected"),
+    [
+        (chase(CAR), [100, -800, 530, 0, -25, 90]),
+        (chase(np.array([0.0, 0, 0, 180, 80, 0])), [-1000, 0, 500, 0, -25, 0]),  # level, and above
+        (chase(CAR, 180.0, back=100, up=50, pitch=-5), [200, 200, 80, 0, -5, 180]),
+        (top(CAR), [100, 200, 4030, 0, -90, 90]),
+        (top(CAR, 0.0), [100, 200, 4030, 0, -90, 0]),
+    ],
+)
+def test_where_a_camera_is(camera: np.ndarray, expected: list[float]) -> None:
+    assert camera == pytest.approx(expected)
 
 
 def test_arrays_of_poses() -> None:
@@ -82,7 +78,3 @@ def test_headings_at_many_times_do_not_jump_at_180() -> None:
     headings = calm_headings(np.arange(72) * 0.1, yaws)
     assert np.abs(np.diff(headings)).max() <= 10
     assert headings[-1] > 600
-
-
-def test_headings_at_no_times() -> None:
-    assert calm_headings(np.zeros(0), np.zeros(0)).tolist() == []

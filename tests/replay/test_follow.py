@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -10,12 +11,8 @@ from carla_recap import ActorKind, RecapError, Spawn, attributes
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player, choose_followed
 from carla_recap.replay.follow import LiveChoice
+from tests.replay.conftest import Record
 from tests.replay.scripts import pose, spawn, velocity
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tests.replay.conftest import Record
 
 CAST = [
     spawn(10, "spectator"),
@@ -45,26 +42,20 @@ def test_a_given_actor(record: Record) -> None:
     assert Player(recording, follow="hero").followed == 14
 
 
-def test_an_unknown_id(record: Record) -> None:
-    recording = record({"spawned": CAST})
-    with pytest.raises(RecapError, match=r"no actor 16 to follow; known ids are 14 \(hero\)"):
-        Player(recording, follow=16)
-    with pytest.raises(RecapError, match="known ids are none"):
-        Player(record({}), follow=1)
-    with pytest.raises(RecapError, match="found 'ego'"):
-        Player(recording, follow="ego")
-
-
-def test_no_hero(record: Record) -> None:
-    with pytest.raises(RecapError, match="no hero to follow"):
-        Player(record({"spawned": NO_HERO}), follow="hero")
-
-
-def test_an_ignored_hero_cannot_be_followed(record: Record) -> None:
-    recording = record({"spawned": CAST})
-    for follow in ("hero", 14):
-        with pytest.raises(RecapError, match="followed and ignored"):
-            Player(recording, follow=follow, ignore_hero=True)
+@pytest.mark.parametrize(
+    ("cast", "follow", "ignore_hero", "message"),
+    [
+        (CAST, 16, False, r"no actor 16 to follow; known ids are 14 \(hero\)"),
+        ([], 1, False, "known ids are none"),
+        (CAST, "ego", False, "found 'ego'"),
+        (NO_HERO, "hero", False, "no hero to follow"),
+        (CAST, "hero", True, "followed and ignored"),
+        (CAST, 14, True, "followed and ignored"),
+    ],
+)
+def test_who_cannot_be_followed(record: Record, cast: list[Any], follow: int | str, ignore_hero: bool, message: str) -> None:
+    with pytest.raises(RecapError, match=message):
+        Player(record({"spawned": cast}), follow=follow, ignore_hero=ignore_hero)
 
 
 def slower(script: list[dict[str, Any]]) -> list[dict[str, Any]]:

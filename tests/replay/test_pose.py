@@ -67,13 +67,6 @@ def test_quaternions_equal_matrices(place: np.ndarray) -> None:
     assert rotations(place) == pytest.approx(matrix_of(quaternions(place)), abs=1e-12)
 
 
-def test_arrays_of_poses() -> None:
-    many = np.arange(24.0).reshape(2, 2, 6)
-    assert quaternions(many).shape == (2, 2, 4)
-    assert rotations(many)[1, 0] == pytest.approx(rotations(many[1, 0]))
-    assert attach(many, many)[0, 1] == pytest.approx(attach(many[0, 1], many[0, 1]))
-
-
 def test_attached() -> None:
     """A camera 2 m ahead of a car and 1 m to its right, looking right; the car looks along y."""
     car = np.array([1000.0, 2000, 0, 0, 0, 90])

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from carla_recap import convert, open_recording
+from carla_recap import Recording, convert, open_recording
 from carla_recap.model.frame import Header
 from carla_recap.replay import Player
 from tests.replay.scripts import build, pose, spawn, velocity, x_of
 from tests.samples import CROSSING, carla_log
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from carla_recap import Recording
 
 NAMES = ("carla-0.9.10-lane-center", "carla-0.9.13-lane-center", "crossing")
 
@@ -51,16 +46,6 @@ def test_the_hero_follows_its_trajectory(recording: Recording) -> None:
         assert abs(np.exp(1j * np.radians(place[5])) - np.exp(1j * np.radians(yaw))) < 1e-6
         seen += 1
     assert seen > 100
-
-
-def test_lights_and_actors_have_a_pose(recording: Recording) -> None:
-    scene = Player(recording).at(-1.0)
-    lights = scene.light_states["id"].tolist()
-    assert lights
-    for id in [*lights, *scene.actors]:
-        place = scene.pose_of(id)
-        parent = scene.actors[id].parent
-        assert (place is not None) == (parent is None or parent in scene.actors)
 
 
 def test_double_precision(tmp_path: Path, suffix: str) -> None:

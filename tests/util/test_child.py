@@ -6,16 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from threading import Barrier
 from unittest.mock import Mock
 
 import pytest
 
 from carla_recap.util import child as child_module
 from carla_recap.util.child import started_ahead
-from tests.waiting import PATIENCE, is_running, wait_until
+from tests.waiting import is_running, wait_until
 
 CHILD = """
 import os, pathlib, time
@@ -86,24 +84,3 @@ def test_a_forked_process_has_no_child_of_its_parent(monkeypatch: pytest.MonkeyP
         if not fork:
             os._exit(len(child_module._ahead))
         assert os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1]) == 0
-
-
-def test_children_that_threads_start_ahead_and_do_not_use_are_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    class FakeChild:
-        def __init__(self, *_: object) -> None:
-            open_ones.add(self)
-            both.wait()
-
-        def kill(self) -> None:
-            open_ones.remove(self)
-
-    def start(_: int) -> None:
-        with started_ahead(("module", "answers", 1)):
-            both.wait()
-
-    open_ones: set[FakeChild] = set()
-    both = Barrier(2, timeout=PATIENCE)
-    monkeypatch.setattr(child_module, "Child", FakeChild)
-    with ThreadPoolExecutor(2) as threads:
-        list(threads.map(start, range(2)))
-    assert open_ones == set()

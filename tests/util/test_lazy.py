@@ -5,19 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
-from carla_recap import sim
 from tests.waiting import PATIENCE
-
-
-def test_a_package_has_its_public_names():
-    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
-    assert {name for name in dir(sim) if not name.startswith("_")} == set(sim.__all__)
-    for name in sim.__all__:
-        assert getattr(sim, name) is getattr(sim, name)
-    with pytest.raises(AttributeError, match=r"module 'carla_recap.sim' has no attribute 'wings'"):
-        sim.wings  # noqa: B018
 
 
 def test_a_name_imports_only_its_module():

@@ -15,9 +15,7 @@ from carla_recap.util.processes import (
     module_command,
     module_environment,
     terminate,
-    wait_or_kill,
 )
-from tests.waiting import PATIENCE
 
 STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready', flush=True); time.sleep(1000)"
 
@@ -44,12 +42,6 @@ def test_a_process_that_ignores_sigterm_is_killed() -> None:
         assert process.stdout is not None
         process.stdout.readline()
         assert terminate(process, 0.2) == -9
-
-
-@pytest.mark.parametrize("code", [0, 3])
-def test_a_process_that_ends_by_itself_is_waited_for(code: int) -> None:
-    with subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"]) as process:
-        assert wait_or_kill(process, PATIENCE) == code
 
 
 def test_what_is_in_the_buffer_of_a_pipe_is_readable() -> None:

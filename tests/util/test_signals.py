@@ -18,19 +18,12 @@ MASK = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_
 def test_the_first_signal_is_handled_and_others_are_ignored() -> None:
     calls: list[str] = []
     before = signal.getsignal(signal.SIGTERM)
-    with call_on_termination(calls.append):
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
-            signal.raise_signal(number)
-    assert calls == ["SIGTERM"]
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_each_block_has_a_first_signal() -> None:
-    calls: list[str] = []
-    for _ in range(2):
+    for first in (signal.SIGTERM, signal.SIGINT):
         with call_on_termination(calls.append):
-            signal.raise_signal(signal.SIGINT)
-    assert calls == ["SIGINT", "SIGINT"]
+            for number in (first, signal.SIGINT, signal.SIGTERM):
+                signal.raise_signal(number)
+    assert calls == ["SIGTERM", "SIGINT"]
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_held_signal_is_handled_at_the_end_of_the_block() -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import lz4.frame
 import zstandard
@@ -15,10 +18,6 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -149,7 +148,7 @@ def _index(chunk: records.Chunk, at: int, size: int) -> records.ChunkIndex:
 def rewrite(source: Path, destination: Path, **options: Any) -> Path:
     """A recording as another program would write it: one stream of chunks, messages in order of log time."""
     options = {"compression": CompressionType.ZSTD} | options
-    with source.open("rb") as old, destination.open("wb") as new:
+    with BytesIO(source.read_bytes()) as old, destination.open("wb") as new:
         reader, writer = make_reader(old, validate_crcs=True), Writer(new, **options)
         writer.start("", "another program")
         summary = reader.get_summary()
@@ -167,24 +166,41 @@ def rewrite(source: Path, destination: Path, **options: Any) -> Path:
     return destination
 
 
-def edited(path: Path, change: Callable[[str, int, bytes], bytes | None]) -> Path:
+def with_header(path: Path, change: Callable[[dict[str, str]], dict[str, str]]) -> Path:
+    """A recording whose header, which stands in it twice, has other metadata."""
+    parts = data_records(path)
+    for part in parts:
+        if isinstance(part, records.Metadata) and part.name == "carla_recap.header":
+            part.metadata = change(part.metadata)
+    return Forge(parts).write(path)
+
+
+def retold(path: Path, change: Callable[[str, int, int, bytes], tuple[int, int, bytes] | None]) -> Path:
     """A recording with other messages.
 
     Args:
         path: The recording.
-        change: Is given the topic, the sequence number and the data of a message; returns its new data, None to drop it.
+        change: Is given the topic, sequence number, log time and data of a message; returns the latter three anew, or None.
     """
     parts = data_records(path)
     topics = {part.id: part.topic for part in parts if isinstance(part, records.Channel)}
     for place, part in enumerate(parts):
         if isinstance(part, records.Chunk):
-            content = bytearray()
-            for channel, sequence, time, _, data in messages_in(part):
-                body = change(topics[channel], sequence, data)
-                content += b"" if body is None else message(channel, sequence, time, body)
+            found = [(channel, change(topics[channel], *told, data)) for channel, *told, _, data in messages_in(part)]
+            content = b"".join(message(channel, *told) for channel, told in found if told is not None)
             times = {"message_start_time": part.message_start_time, "message_end_time": part.message_end_time}
-            parts[place] = seal(bytes(content), part.compression, **times)
+            parts[place] = seal(content, part.compression, **times)
     return Forge(parts).write(path)
+
+
+def edited(path: Path, change: Callable[[str, int, bytes], bytes | None]) -> Path:
+    """A recording whose messages have other data; None drops one."""
+
+    def retell(topic: str, sequence: int, time: int, data: bytes) -> tuple[int, int, bytes] | None:
+        body = change(topic, sequence, data)
+        return None if body is None else (sequence, time, body)
+
+    return retold(path, retell)
 
 
 def message(channel: int, sequence: int, time: int, data: bytes) -> bytes:

@@ -1,30 +1,51 @@
-"""What is found in MCAP files that are damaged or were never finished."""
+"""The summary of MCAP files, and what is found in files that are damaged or were never finished."""
 
 from __future__ import annotations
 
 import struct
 import warnings
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 
+import lz4.frame
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap import records
 
-from carla_recap.errors import RecapWarning
+from carla_recap import FormatError, RecapWarning, open_recording, recover
+from carla_recap.formats.mcap.index import decompress, open_chunk, read_summary
 from carla_recap.formats.mcap.recovery import Damage, recover_summary
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
-from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, chunk_records, data_records, message, packed, seal
-from tests.samples import listed, save, transform, write
+from tests import strategies
+from tests.formats.mcap.forge import (
+    MAGIC,
+    Forge,
+    chunk_places,
+    chunk_records,
+    data_records,
+    message,
+    packed,
+    seal,
+    with_header,
+)
+from tests.samples import listed, save, transform, warnings_ignored, write
 from tests.waiting import time_limit
+
+MIB = 1 << 20
 
 
 def recovered(path):
-    source = LocalSource(path)
-    try:
+    with time_limit(), closing(LocalSource(path)) as source:
         return recover_summary(source)
-    finally:
-        source.close()
+
+
+def bytes_read(path):
+    """How many bytes a recovery reads."""
+    with time_limit(), closing(LocalSource(path)) as source:
+        recover_summary(source)
+        return source.bytes_read
 
 
 def offsets_of(data):
@@ -73,25 +94,15 @@ def test_the_times_of_a_chunk_are_those_of_its_messages(driven, place):
     assert (summary.chunks, damage.chunks) == (own, 0)
 
 
-def test_bytes_in_between_cost_nothing_but_themselves(driven):
-    data = driven.read_bytes()
-    at = offsets_of(data)[2]
-    junk = b"\xee" * 1000 + b"zstd" + b"\x04\0\0\0zstd" * 3
-    save(driven, data[:at] + junk + data[at:])
-    summary, damage = recovered(driven)
-    assert len(summary.chunks) == len(offsets_of(data))
-    assert damage.bytes == len(junk)
-    assert not damage.finished
+JUNK = [b"\xee" * 1000 + b"zstd" + b"\x04\0\0\0zstd" * 3, *(b"\xff" * (MIB + more) for more in (-40, 0, 7, 2 * MIB))]
 
 
-def test_a_chunk_behind_megabytes_of_nothing_is_found(driven):
+@pytest.mark.parametrize("junk", JUNK, ids=len)
+def test_bytes_in_between_cost_nothing_but_themselves(driven, junk):
     data = driven.read_bytes()
     chunks = offsets_of(data)
-    for size in ((1 << 20) - 40, 1 << 20, (1 << 20) + 7, 3 << 20):
-        path = save(driven.with_name("gap.mcap"), data[: chunks[1]] + b"\xff" * size + data[chunks[1] :])
-        summary, damage = recovered(path)
-        assert len(summary.chunks) == len(chunks), size
-        assert damage.bytes == size
+    summary, damage = recovered(save(driven, data[: chunks[1]] + junk + data[chunks[1] :]))
+    assert (len(summary.chunks), damage.bytes, damage.finished) == (len(chunks), len(junk), False)
 
 
 def test_messages_whose_schema_is_damaged_are_found_without_a_summary(driven):
@@ -106,20 +117,10 @@ def test_messages_whose_schema_is_damaged_are_found_without_a_summary(driven):
 def test_a_long_recording_of_a_thousand_actors_that_stand_is_all_found(tmp_path, monkeypatch):
     monkeypatch.setattr("carla_recap.formats.mcap.recovery._UNPACKED_LEAST", 0)
     poses = Packet(6, UE4[6], listed(*(transform(id, id) for id in range(1000))))
-    frames = [Frame(index, index + 1, index / 20, 0.05, [poses]) for index in range(1000)]
-    path = write(tmp_path / "standing.mcap", Header("Town01", 0), frames)
-    summary, damage = recovered(path)
+    frames = [Frame(index, index + 1, index / 20, 0.05, [poses]) for index in range(200)]
+    summary, damage = recovered(write(tmp_path / "standing.mcap", Header("Town01", 0), frames))
     assert damage == Damage()
-    assert summary.counts[1] == 1000
-
-
-def test_a_summary_without_channels_does_not_matter(driven):
-    forged = Forge(data_records(driven))
-    forged.write(driven)
-    forged.write(driven, summary=[])
-    summary, _ = recovered(driven)
-    assert len(summary.channels) == 4
-    assert len(summary.chunks) == len(forged.indexes)
+    assert summary.counts[1] == 200
 
 
 def test_a_lost_magic_does_not_matter(driven):
@@ -148,24 +149,11 @@ def test_false_heads_of_chunks_cost_little(driven, honest):
         length = (count - number) * each + 50_000 - 9
         junk += head_of_a_chunk(length, length - 44 if honest else 7, 1000).ljust(each, b"\0")
     assert len(junk) == count * each
-    save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
-    with time_limit():
-        source = LocalSource(driven)
-        summary, damage = recover_summary(source)
-        source.close()
-    assert source.bytes_read < 12 * source.size + (64 << 20)
+    path = save(driven, data[: chunks[1]] + bytes(junk) + bytes(100_000) + data[chunks[1] :])
+    assert bytes_read(path) < 12 * path.stat().st_size + 64 * MIB
+    summary, damage = recovered(path)
     assert damage.bytes >= len(junk)
     assert len(summary.chunks) == len(chunks)
-
-
-def test_small_false_heads_are_found_in_one_window(tmp_path):
-    junk = (b"\x06" + bytes(36) + b"\x04\0\0\0zstd") * 50_000
-    path = save(tmp_path / "x.mcap", MAGIC + junk)
-    source = LocalSource(path)
-    with time_limit():
-        recover_summary(source)
-    source.close()
-    assert source.bytes_read < 4 * len(junk)
 
 
 def test_messages_of_a_channel_that_is_not_declared_are_said_to_be_left_out(tmp_path):
@@ -175,91 +163,110 @@ def test_messages_of_a_channel_that_is_not_declared_are_said_to_be_left_out(tmp_
 
 # --- limits ----------------------------------------------------------------------------------------------
 
-MIB = 1 << 20
-
 
 def messages(count: int, size: int = 0) -> bytes:
     """Some messages of a channel, each with some bytes of data."""
     return message(1, 0, 0, bytes(size)) * count
 
 
-def other_record(opcode: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", opcode, len(content)) + content
-
-
-@pytest.mark.parametrize(("opcode", "size", "followed"), [(9, 64 << 10, False), (9, 16 * MIB, True)])
-@pytest.mark.parametrize("more", [0, 1])
-def test_a_record_that_is_too_long_is_not_believed(tmp_path, opcode, size, followed, more):
-    """An attachment that contains a chunk: up to 64 KiB it is gone over, up to 16 MiB if a record follows it."""
-    content = packed(seal(messages(3))).ljust(size + more, b"\0")
-    end = packed(records.DataEnd(data_section_crc=0)) if followed else b"\xff" * 20
-    summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + other_record(opcode, content) + end))
-    assert len(summary.chunks) == more
-
-
-@pytest.mark.parametrize("more", [0, 1])
-def test_how_much_is_read_for_what_is_no_chunk(tmp_path, more):
-    """16 MiB and four times the file: another false head in front of a chunk makes the scan go on behind what it claims.
-
-    What is read of a sound chunk does not count.
-    """
-    length, distance, chunk = 2 * MIB, 100, packed(seal(messages(3)))
-    sound, size = packed(seal(messages(1, MIB), "")), 4 * MIB + 1000
-    count = (16 * MIB + 4 * size) // length + more
-    heads = b"".join(head_of_a_chunk(length, length - 44, 1000).ljust(distance, b"\0") for _ in range(count))
-    path = save(tmp_path / "x.mcap", (MAGIC + sound + heads + chunk).ljust(size, b"\0"))
-    # The last head claims no more than there is.
-    assert len(MAGIC + sound) + (count - 1) * distance + 9 + length < size
-    assert len(recovered(path)[0].chunks) == 2 - more
-
-
 def test_how_much_is_unpacked(tmp_path):
     """512 MiB and a thousand times the file."""
     bomb = packed(seal(messages(1, (64 << 20) - 31)))
     data = (MAGIC + bomb * 12).ljust(130_000, b"\xff")
-    with time_limit():
-        summary, damage = recovered(save(tmp_path / "x.mcap", data))
+    summary, damage = recovered(save(tmp_path / "x.mcap", data))
     assert len(summary.chunks) == (512 * MIB + 1000 * len(data)) // (64 * MIB) == 9
     assert damage.chunks == 3
 
 
 @pytest.mark.parametrize("more", [0, 1])
-def test_how_many_messages_are_counted(tmp_path, more):
-    """A million, and one for each four bytes of the file."""
+def test_how_many_messages_are_counted(tmp_path, monkeypatch, more):
+    """Some, and one for each four bytes of the file."""
+    monkeypatch.setattr("carla_recap.formats.mcap.recovery._MESSAGES_LEAST", 10_000)
     size = 60_000
-    chunks = packed(seal(messages(1_000_000)), seal(messages(size // 4 + more)))
-    with time_limit():
-        summary, damage = recovered(save(tmp_path / "x.mcap", (MAGIC + chunks).ljust(size, b"\xff")))
+    chunks = packed(seal(messages(10_000)), seal(messages(size // 4 + more)))
+    summary, damage = recovered(save(tmp_path / "x.mcap", (MAGIC + chunks).ljust(size, b"\xff")))
     assert (len(summary.chunks), damage.chunks) == (2 - more, more)
 
 
 @pytest.mark.parametrize("more", [0, 1])
-def test_how_many_records_beside_chunks_are_read(tmp_path, more):
+def test_how_many_records_beside_chunks_are_read(tmp_path, monkeypatch, more):
+    monkeypatch.setattr("carla_recap.formats.mcap.index.RECORDS_LIMIT", 1_000)
     channel = packed(records.Channel(id=7, topic="", message_encoding="", metadata={}, schema_id=0))
     schema = packed(records.Schema(id=3, data=b"", encoding="", name="last"))
     with pytest.warns(RecapWarning, match="1 schemas and channels are left out") if more else nullcontext():
-        summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + channel * (131_071 + more) + schema))
+        summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + channel * (999 + more) + schema))
     assert summary.schemas == ({} if more else {3: "last"})
 
 
-@pytest.mark.parametrize("more", [0, 1])
-def test_how_large_metadata_are_read(tmp_path, more):
-    empty = packed(records.Metadata(name="m", metadata={"k": ""}))
-    found = packed(records.Metadata(name="m", metadata={"k": "v" * ((512 << 10) - len(empty) + 9 + more)}))
-    assert len(found) - 9 == (512 << 10) + more
-    end = packed(records.DataEnd(data_section_crc=0))
-    summary, _ = recovered(save(tmp_path / "x.mcap", MAGIC + found + end))
-    assert summary.metadata == ({} if more else {"m": len(MAGIC)})
+# --- what the summary is read with ----------------------------------------------------------------------
+
+CONTENT = bytes(range(256)) * 5
 
 
-@pytest.mark.parametrize("more", [0, 1])
-def test_how_large_chunks_are_read(tmp_path, more):
-    length = (64 << 20) + more
-    path = save(tmp_path / "x.mcap", MAGIC + head_of_a_chunk(length, length - 44, 1000))
-    with path.open("r+b") as file:
-        file.truncate(70 << 20)  # zeros that take no space
-    source = LocalSource(path)
-    with time_limit():
-        recover_summary(source)
-    source.close()
-    assert (source.bytes_read > source.size + (60 << 20)) != bool(more)
+@pytest.fixture
+def source(tmp_path):
+    """A file of ten bytes."""
+    opened = LocalSource(save(tmp_path / "ten", b"0123456789"))
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize(("at", "size"), [(8, 3), (11, 0), (-1, 2), (0, -1), (1 << 63, 1), (0, 1 << 63)])
+def test_a_place_outside_is_an_error(source, at, size):
+    message = rf"ten: byte {at}: it of {size} bytes does not fit in the file of 10"
+    with pytest.raises(FormatError, match=message):
+        source.read(at, size, "it")
+
+
+def test_an_lz4_bomb_is_unpacked_no_further_than_announced():
+    data = lz4.frame.compress(bytes(100 << 20))
+    with pytest.raises(ValueError, match="expected 1000 bytes after decompression, found 1001"):
+        decompress("lz4", data, 1000)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+@given(data=st.data())
+def test_damaged_chunks_are_errors_or_unchanged(compression, data):
+    whole = packed(seal(CONTENT, compression))[9:]
+    damaged = strategies.damaged(whole, data.draw(strategies.mutations(len(whole))))
+    try:
+        assert open_chunk(damaged)[2] in (CONTENT, b"")
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+@given(data=st.data())
+def test_any_summary_is_read_or_an_error(small_mcap, data):
+    """The file ends in a footer without a checksum, so that damage gets through to where records are read."""
+    path = small_mcap.with_name("forged.mcap")
+    forged = Forge(data_records(small_mcap), crc=False)
+    whole = forged.write(path).read_bytes()
+    summary = packed(*forged.described, *forged.indexes)
+    start = whole.index(summary)
+    damaged = strategies.damaged(summary, data.draw(strategies.mutations(len(summary))))
+    source = LocalSource(save(path, whole[:start] + damaged + whole[start + len(summary) :]))
+    with time_limit(), closing(source), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            read_summary(source)
+        except FormatError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+
+
+def test_a_summary_of_more_channels_than_there_can_be(driven, monkeypatch):
+    monkeypatch.setattr("carla_recap.formats.mcap.index.RECORDS_LIMIT", 1_000)
+    forge = Forge(data_records(driven))
+    forge.write(driven)
+    channel = next(record for record in forge.described if isinstance(record, records.Channel))
+    forge.write(driven, summary=[*forge.described, *forge.indexes, *[channel] * 1_001])
+    with time_limit(), pytest.raises(FormatError, match="more than 1000 records beside chunk indexes"):
+        open_recording(driven)
+
+
+def test_metadata_of_thousands_of_entries(driven):
+    with_header(driven, lambda metadata: metadata | {f"{number:x}": "" for number in range(100_000)})
+    with time_limit(), pytest.raises(FormatError, match=r"expected the metadata carla_recap\.header"):
+        open_recording(driven)
+    with time_limit(), warnings_ignored():
+        recovery = recover(driven, driven.with_name("saved.mcap"))
+    assert (recovery.frames, recovery.headless) == (600, True)

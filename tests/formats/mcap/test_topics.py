@@ -5,20 +5,17 @@ from __future__ import annotations
 import json
 import math
 import tracemalloc
-from contextlib import closing, contextmanager
-from itertools import pairwise
+from contextlib import contextmanager
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from mcap import records
 from mcap.reader import make_reader
 from mcap.writer import IndexType
 
 from carla_recap import FormatError, RecapError, RecapWarning, RecordError, convert, open_recording
 from carla_recap.formats import open_reader
-from carla_recap.formats.mcap.index import ChannelRecord, ChunkIndex, Summary
-from carla_recap.formats.mcap.recovery import recover_summary
-from carla_recap.formats.mcap.schema import LogClock
-from carla_recap.formats.mcap.topics import FurtherTopics
 from carla_recap.formats.mcap.writer import (
     FURTHER_CHUNK_SECONDS,
     FURTHER_CHUNK_SIZE,
@@ -26,11 +23,10 @@ from carla_recap.formats.mcap.writer import (
     MESSAGE_LIMIT,
     McapWriter,
 )
-from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Header
-from tests.formats.mcap.forge import MAGIC, Forge, data_records, message, messages_in, packed, read_records, rewrite, seal
-from tests.samples import contents, drive, images, reading, write
-from tests.sensed import HEADER, camera, noise, plain, sensed
+from tests.formats.mcap.forge import MAGIC, Forge, data_records, message, messages_in, packed, rewrite, seal
+from tests.samples import contents, drive, image, images, reading, write
+from tests.sensed import HEADER, camera, messages_of, noise, plain, sensed, topics_of
 from tests.waiting import time_limit
 
 SECOND = 1_000_000_000
@@ -66,31 +62,6 @@ def told(path, messages, *, topic=None, header=HEADER):
 
 
 # --- writing -------------------------------------------------------------------------------------------------
-
-
-def grouped(path, *chunks):
-    """Return the groups of the topics of a file without content, whose chunks have messages of some channels."""
-    summary, source = Summary(), LocalSource(path)
-    summary.chunks = [ChunkIndex(0, 0, 0, 0, frozenset(channels)) for channels in chunks]
-    for id in frozenset[int]().union(*chunks):
-        summary.channels[id], summary.counts[id] = ChannelRecord(id, 0, f"/{id}", "json"), 1
-    with closing(source):
-        topics = FurtherTopics(source, summary, (), (), LogClock(HEADER), lambda _: iter(())).topics
-    return {int(name[1:]): topic.group for name, topic in topics.items()}
-
-
-def test_groups_are_of_topics_that_share_chunks(tmp_path):
-    path = tmp_path / "empty"
-    path.touch()
-    assert grouped(path, (4, 5), (1, 9), (5, 9), (2, 3), (3, 2), (6,)) == {
-        **dict.fromkeys((1, 4, 5, 9), "1"),
-        2: "2",
-        3: "2",
-        6: "",
-    }
-    with time_limit():
-        groups = grouped(path, *((id, id + 1) for id in range(0, 60_000, 2)))
-    assert groups == {id: f"{id - id % 2}" for id in range(60_000)}
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -130,26 +101,6 @@ def test_chunks_that_are_being_filled_are_bounded_together(tmp_path):
     reader = open_reader(tmp_path / "run.mcap")
     assert {topic.count for topic in reader.further_topics().values()} == {2}
     reader.close()
-
-
-def test_a_live_file_has_all_but_the_last_seconds(tmp_path):
-    writer = McapWriter(tmp_path / "run.mcap", HEADER, live=True)
-    writer.add_topic(plain("/a"))
-    writer.add_topic(plain("/b"))
-    for frame in drive(23.0):
-        writer.write(frame)
-        writer.write_message("/a", frame.elapsed, b"1")
-        if frame.elapsed < 2:
-            writer.write_message("/b", frame.elapsed, b"1")
-    last = frame.elapsed
-    partial = writer.abandon()
-    with closing(LocalSource(partial)) as source:
-        summary, damage = recover_summary(source)
-    assert (damage.chunks, damage.bytes, damage.finished) == (0, 0, False)
-    ids = {channel.topic: id for id, channel in summary.channels.items()}
-    ends = {name: max(chunk.end for chunk in summary.chunks if ids[name] in chunk.channels) for name in ("/a", "/b")}
-    assert ends["/a"] / SECOND - HEADER.date >= last - 5
-    assert summary.counts[ids["/b"]] == 40
 
 
 @pytest.mark.parametrize(
@@ -223,27 +174,6 @@ def test_topics_are_described(tmp_path):
         assert imu.group == note.group != front.group
 
 
-def test_a_topic_without_messages_has_no_times(tmp_path):
-    with told(tmp_path / "run.mcap", []) as reader:
-        (found,) = reader.further_topics().values()
-        assert (found.count, found.first, found.last) == (0, None, None)
-        assert not list(reader.messages("/a"))
-
-
-@pytest.mark.parametrize("live", [False, True])
-def test_messages_are_those_that_were_written(tmp_path, live):
-    with open_recording(sensed(tmp_path / "run.mcap", live=live)) as recording:
-        found = list(recording.reader.messages("/sensors/front/image"))
-        assert [data for _, data in found] == [noise(20_000, index) for index in range(0, 200, 2)]
-        assert [time for time, _ in found] == pytest.approx([number / 10 for number in range(100)], abs=1e-6)
-        part = list(recording.reader.messages("/sensors/imu/imu", 2.0, 3.0))
-        assert [time for time, _ in part] == pytest.approx([2 + number / 20 for number in range(20)], abs=1e-6)
-        every = list(recording.reader.further_messages())
-        assert len(every) == 100 + 200 + 1
-        assert all(a.elapsed <= b.elapsed for a, b in pairwise(every))
-        assert sorted(every) == sorted(recording.reader.further_messages(in_order=False))
-
-
 @pytest.mark.parametrize(
     "read",
     [lambda reader: list(reader.messages("/a", 5.0, 5.1)), lambda reader: reader.latest_messages(["/a"], 5.0)],
@@ -256,81 +186,53 @@ def test_messages_are_read_of_the_chunks_of_their_time_alone(tmp_path, read):
         assert reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
 
 
-def test_the_latest_messages_are_those_of_a_moment(tmp_path):
-    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
-        reader, names = recording.reader, ["/sensors/front/image", "/sensors/imu/imu", "/note"]
-        latest = reader.latest_messages(names, 5.07)
-        assert {name: (elapsed, data) for name, elapsed, data in latest} == {
-            "/sensors/front/image": (5.0, noise(20_000, 100)),
-            "/sensors/imu/imu": (pytest.approx(5.05), b"{}"),
-            "/note": (1.0, b'"late"'),
-        }
-        assert all(a.elapsed <= b.elapsed for a, b in pairwise(latest))
-        assert {message.topic for message in reader.latest_messages(names, 0.5)} == {*names} - {"/note"}
-        assert reader.latest_messages(names, -1.0) == []
-        assert [message.elapsed for message in reader.latest_messages(names[:1], 1e6)] == [pytest.approx(9.9)]
-        with pytest.raises(RecapError, match="has no further topic '/none'"):
-            reader.latest_messages(["/none"], 1.0)
+TIMES = st.sampled_from([0.0, 0.5, 1.0, 10.0, 39.0, 40.0, 80.0])
 
 
-@pytest.mark.parametrize(("elapsed", "expected"), [(-1.0, []), (math.nan, []), (0.15, [b"1"]), (1e12, [b"4"])])
-def test_a_time_that_mcap_does_not_have_is_before_or_behind_all_messages(tmp_path, elapsed, expected):
-    messages = [(number / 10, b"%d" % number) for number in range(5)]
-    with told(tmp_path / "run.mcap", messages, header=Header("Town01", 0)) as reader:
-        assert [message.data for message in reader.latest_messages(["/a"], elapsed)] == expected
-        assert [message.data for message in reader.further_messages(["/a"], stop=elapsed)][-1:] == expected
-
-
-def test_the_first_and_the_last_time_are_those_of_all_chunks_that_overlap(tmp_path):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(plain("/a"), group="both")
-        writer.add_topic(plain("/b"), group="both")
-        for topic, time, size in [
-            ("/b", 2.0, 1),
-            ("/a", 1.0, 1),
-            ("/a", 3.0, FURTHER_CHUNK_SIZE),
-            ("/b", 1.5, 1),
-            ("/b", 2.5, 1),
-        ]:
-            writer.write_message(topic, time, noise(size, 0))
-    with open_recording(tmp_path / "run.mcap") as recording:
-        topics = recording.reader.further_topics().values()
-        assert [(topic.first, topic.last) for topic in topics] == [(1.0, 3.0), (1.5, 2.5)]
-
-
-@pytest.mark.parametrize("unit", [1, 1 / 128], ids=["several chunks", "one chunk"])
-def test_messages_that_came_late_are_put_in_order_and_the_latest_is_found(tmp_path, unit):
-    times = [unit * time for time in (0.0, 40.0, 80.0, 10.0, 50.0, 20.0)]
-    with told(tmp_path / "run.mcap", [(time, f"{time}".encode()) for time in times]) as reader:
-        assert [time for time, _ in reader.messages("/a")] == sorted(times)
-        topic = reader.further_topics()["/a"]
-        assert (topic.first, topic.last) == (0.0, 80.0 * unit)
-        for moment, time in [(5.0, 0.0), (15.0, 10.0), (45.0, 40.0), (79.0, 50.0), (81.0, 80.0)]:
-            assert [message.elapsed for message in reader.latest_messages(["/a"], moment * unit)] == [time * unit]
-
-
-def test_of_messages_at_one_time_the_last_is_the_latest(tmp_path):
-    messages = [(10.0, noise(FURTHER_CHUNK_SIZE * 2 // 3, number)) for number in range(3)]
-    with told(tmp_path / "run.mcap", messages) as reader:
-        (latest,) = reader.latest_messages(["/a"], 20.0)
-        *_, last = reader.further_messages(["/a"])
-        assert latest == last
+@given(
+    told=st.lists(st.tuples(st.sampled_from(["/a", "/b"]), TIMES, st.integers(0, 90)), max_size=15),
+    group=st.sampled_from(["", "both"]),
+    moment=st.one_of(TIMES, st.sampled_from([-1.0, 45.0, 1e12, math.nan])),
+)
+@example(told=[("/b", 2.0, 1), ("/a", 1.0, 1), ("/a", 3.0, 200), ("/b", 1.5, 1), ("/b", 2.5, 1)], group="both", moment=2.5)
+def test_messages_are_those_of_a_list(tmp_path, told, group, moment):
+    """They come late, at one time, in chunks that overlap, and are asked for at times that MCAP does not have."""
+    expected = [(topic, elapsed, b"%d" % number + bytes(size)) for number, (topic, elapsed, size) in enumerate(told)]
+    with pytest.MonkeyPatch.context() as patch, McapWriter(tmp_path / "run.mcap", Header("Town01", 0), force=True) as writer:
+        patch.setattr("carla_recap.formats.mcap.writer.FURTHER_CHUNK_SIZE", 200)
+        for name in ("/a", "/b"):
+            writer.add_topic(plain(name), group=group)
+        for message in expected:
+            writer.write_message(*message)
+    with reading(tmp_path / "run.mcap") as reader:
+        every = list(reader.further_messages())
+        assert [message.elapsed for message in every] == sorted(elapsed for _, elapsed, _ in expected)
+        assert sorted(every) == sorted(expected) == sorted(reader.further_messages(in_order=False))
+        assert list(reader.further_messages(stop=moment)) == [each for each in every if each.elapsed < moment]
+        latest = []
+        for name, topic in reader.further_topics().items():
+            own = [message for message in every if message.topic == name]
+            times = [message.elapsed for message in own] or [None]
+            assert (topic.count, topic.first, topic.last) == (len(own), times[0], times[-1])
+            latest += [message for message in own if message.elapsed <= moment][-1:]
+        found = reader.latest_messages(["/a", "/b"], moment)
+        assert sorted(found) == sorted(latest)
+        assert [message.elapsed for message in found] == sorted(message.elapsed for message in latest)
 
 
 def test_an_unknown_topic_is_an_error_with_those_that_there_are(tmp_path, small):
-    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
-        with pytest.raises(RecapError, match="has no further topic '/none'; it has /note, "):
-            list(recording.reader.messages("/none"))
-        with pytest.raises(RecapError, match="has no further topic '/frames'"):
-            list(recording.reader.messages("/frames"))
+    for path, name, told in (
+        (sensed(tmp_path / "run.mcap"), "/none", "has no further topic '/none'; it has /note, "),
+        (tmp_path / "run.mcap", "/frames", "has no further topic '/frames'"),
+        (small, "/none", "only MCAP files have some"),
+    ):
+        with open_recording(path) as recording:
+            for ask in (recording.reader.messages, lambda name: recording.reader.latest_messages([name], 1.0)):
+                with pytest.raises(RecapError, match=told):
+                    list(ask(name))
     with open_recording(small) as recording:
         assert recording.reader.further_topics() == {}
         assert not list(recording.reader.further_messages())
-        assert recording.reader.latest_messages([], 1.0) == []
-        with pytest.raises(RecapError, match="only MCAP files have some"):
-            list(recording.reader.messages("/none"))
-        with pytest.raises(RecapError, match="only MCAP files have some"):
-            recording.reader.latest_messages(["/none"], 1.0)
 
 
 def test_mcaps_own_reader_reads_all_messages(tmp_path):
@@ -347,34 +249,20 @@ def test_mcaps_own_reader_reads_all_messages(tmp_path):
 # --- files of other programs, and hostile ones ------------------------------------------------------------------
 
 
-def further(path):
-    """What a file has of further topics, and their messages."""
-    with open_recording(path) as recording:
-        topics = recording.reader.further_topics()
-        described = {
-            name: (topic.topic.message, topic.topic.schema(), topic.topic.metadata, topic.count, topic.first, topic.last)
-            for name, topic in topics.items()
-        }
-        return described, {name: list(recording.reader.messages(name)) for name in topics}
-
-
 @pytest.mark.parametrize("options", [{}, {"index_types": IndexType.ALL & ~IndexType.MESSAGE}, {"use_statistics": False}])
 @pytest.mark.parametrize("chunk_size", [10_000, 1 << 20])
 def test_topics_that_another_program_has_merged_are_further_topics(tmp_path, options, chunk_size):
     ours = sensed(tmp_path / "ours.mcap")
     other = rewrite(ours, tmp_path / "other.mcap", chunk_size=chunk_size, **options)
     assert images(other) == images(ours)
-    described, messages = further(ours)
-    assert further(other)[0].items() >= described.items()
-    assert further(other)[1] == messages
+    assert topics_of(other).items() >= topics_of(ours).items()
+    assert messages_of(other) == messages_of(ours)
 
 
-def with_chunk(path, content, topics=(), **false):
+def with_chunk(path, content, topics=()):
     """A recording with one more chunk behind the others, of channel 99 unless there are other topics."""
     topics = topics or [records.Channel(99, "/sensors/bad/image", "json", {"sensor": "{"}, 0)]
     chunk = seal(content, message_start_time=HEADER.date * SECOND, message_end_time=HEADER.date * SECOND + 7 * SECOND)
-    for name, value in false.items():
-        setattr(chunk, name, value)
     return Forge([*data_records(path), *topics, chunk]).write(path)
 
 
@@ -386,58 +274,23 @@ def test_a_message_that_claims_a_gigabyte_is_an_error(tmp_path):
         list(recording.reader.messages("/sensors/bad/image"))
 
 
-def test_an_index_that_names_other_chunks_yields_what_these_have(tmp_path):
-    path = sensed(tmp_path / "run.mcap", seconds=4.0)
-    found = read_records(path)
-    summary = found[next(n for n, record in enumerate(found) if isinstance(record, records.DataEnd)) + 1 :]
-    ids = {record.topic: record.id for record in summary if isinstance(record, records.Channel)}
-    chunks = [record for record in summary if isinstance(record, records.ChunkIndex)]
-    image = ids["/sensors/front/image"]
-    for chunk in chunks:
-        if image not in chunk.message_index_offsets:
-            chunk.message_index_offsets |= {image: 1 << 40}
-        else:
-            del chunk.message_index_offsets[image]
-            chunk.message_index_offsets |= {ids["/frames"]: 5}
-    data = path.read_bytes()
-    start = summary[-1].summary_start
-    kept = [record for record in summary if not isinstance(record, (records.Footer, records.SummaryOffset))]
-    tail = packed(records.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
-    path.write_bytes(data[:start] + packed(*kept) + tail + MAGIC)
-    with open_recording(path) as recording:
-        assert not list(recording.reader.messages("/sensors/front/image"))
-        assert recording.sensors[0].count == 40  # as the file says
-
-
-def with_cameras(path, count):
-    """Write a recording with a message of each of many cameras."""
-    spec = json.dumps({"type": "sensor.camera.rgb"})
+def test_thousands_of_channels_take_little_time_and_memory(tmp_path):
+    count, spec = 5_000, json.dumps({"type": "sensor.camera.rgb"})
     topics = [records.Channel(100 + n, f"/sensors/{n}/image", "json", {"sensor": spec}, 0) for n in range(count)]
     content = b"".join(message(100 + n, 0, HEADER.date * SECOND + n, b"x") for n in range(count))
-    return with_chunk(write(path, HEADER, drive(2.0)), content, topics)
-
-
-def test_ten_thousand_channels_take_little_time(tmp_path):
-    path = with_cameras(tmp_path / "run.mcap", 10_000)
-    with time_limit(), open_recording(path) as recording:
-        assert len(recording.sensors) == 10_000
-        assert [message.data for message in recording.sensor_messages("77")] == [b"x"]
+    path = with_chunk(write(tmp_path / "run.mcap", HEADER, drive(2.0)), content, topics)
+    tracemalloc.start()
+    try:
+        with time_limit(), open_recording(path) as recording:
+            assert len(recording.sensors) == count
+            assert [message.data for message in recording.sensor_messages("77")] == [b"x"]
+        assert tracemalloc.get_traced_memory()[1] < 50 << 20
+    finally:
+        tracemalloc.stop()
     with time_limit():
         convert(path, tmp_path / "copy.mcap")
     with open_recording(tmp_path / "copy.mcap") as recording:
-        assert sum(sensor.count for sensor in recording.sensors) == 10_000
-
-
-def test_a_thousand_channels_take_little_memory(tmp_path):
-    path = with_cameras(tmp_path / "run.mcap", 1_000)
-    tracemalloc.start()
-    try:
-        with open_recording(path) as recording:
-            assert len(recording.sensors) == 1_000
-            assert [message.data for message in recording.sensor_messages("77")] == [b"x"]
-        assert tracemalloc.get_traced_memory()[1] < 10 << 20
-    finally:
-        tracemalloc.stop()
+        assert sum(sensor.count for sensor in recording.sensors) == count
 
 
 def test_more_messages_than_the_file_can_mean_are_an_error(tmp_path, monkeypatch):
@@ -456,6 +309,7 @@ def test_channels_that_are_left_out_are_said(tmp_path):
         content,
         [*channels, records.Channel(99, "/weather", "json", {}, 0)],
     )
+    assert images(path) == list(map(image, drive(2.0)))
     with open_recording(path) as recording:
         with pytest.warns(RecapWarning, match="are left out: /a, /weather$"):
             assert [*recording.reader.further_topics()] == ["/a"]
