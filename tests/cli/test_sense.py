@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from carla_recap import open_recording
 from tests.cli.command import CROSSING, error, run, run_on_full_disk, wrote
 from tests.samples import names_in
 from tests.sensors.cars import drive
+from tests.waiting import PATIENCE
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 pytest.importorskip("embreex", reason="the extra cameras is not installed")
@@ -78,3 +81,13 @@ def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, rig: Any) -> None:
     assert f"{target}: cannot be written: File too large" in done.stderr.decode().splitlines()[-1]
     assert b"Traceback" not in done.stderr
     assert names_in(tmp_path) == ["rig.json"]
+
+
+def test_one_error_names_all_extras_that_are_missing(tmp_path: Path, rig: Any) -> None:
+    missing = "import sys; sys.modules |= dict.fromkeys(['foxglove_schemas_protobuf', 'moderngl', 'av'])"
+    code = f"{missing}; from carla_recap.cli import main; main()"
+    path = rig({"type": "sensor.camera.rgb", "id": "front", **PLACE})
+    command = [sys.executable, "-c", code, "sense", CROSSING, tmp_path / "out.mcap", "--rig", path, "--video"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert "pip install '.[cameras,foxglove,video]'" in done.stderr

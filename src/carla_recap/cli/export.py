@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,6 +18,7 @@ from carla_recap.cli.options import PORT, POSITIVE, SIZE, TIME, argument, comman
 from carla_recap.cli.output import counted, json_of_written, note, wrote
 from carla_recap.cli.progress import watch, watch_incidents
 from carla_recap.cli.writing import WriteRequest, writes
+from carla_recap.errors import MissingExtra
 from carla_recap.exports import FORMATS, find_format, write_part
 from carla_recap.exports import export as write_export
 from carla_recap.fleet.outcomes import WrittenFile
@@ -31,6 +33,12 @@ if TYPE_CHECKING:
     from carla_recap.show.clips import IncidentClip
     from carla_recap.show.rerun.blueprint import View
 
+_MODULES = {
+    "foxglove": ("foxglove_schemas_protobuf",),
+    "cameras": ("moderngl", "embreex", "simplejpeg", "PIL"),
+    "video": ("av",),
+}
+"""The modules of the extras that sensing needs."""
 _OF_DATASETS = ("split",)  # options of all datasets that are not those of a part
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
@@ -348,11 +356,17 @@ def _sense(given: dict[str, Any], source: str, destination: str, force: bool) ->
     from carla_recap.sensors.ray_process import processes_for
     from carla_recap.util.child import started_ahead
 
-    with started_ahead(*processes_for(given["rig"])), opening.opened_part(source, given) as (recording, part):
-        from carla_recap.show.foxglove.layouts import hints_of
-        from carla_recap.show.foxglove.sensed import export_sensed
+    processes = processes_for(given["rig"])
+    try:
+        with started_ahead(*processes), opening.opened_part(source, given) as (recording, part):
+            from carla_recap.show.foxglove.layouts import hints_of
+            from carla_recap.show.foxglove.sensed import export_sensed
 
-        done = export_sensed(recording, destination, force=force, progress=watch("sensing"), **part)
+            done = export_sensed(recording, destination, force=force, progress=watch("sensing"), **part)
+    except MissingExtra as error:
+        asked = ["foxglove", *["cameras"] * bool(processes), *["video"] * given["video"]]
+        missing = {extra for extra in asked if not all(map(find_spec, _MODULES[extra]))}
+        raise MissingExtra(error.what, ",".join(sorted({error.extra, *missing}))) from None
     samples = sum(done.samples.values())
     notes = counted(len(done.samples), "sensor"), counted(samples, "sample")
     facts = {"samples": dict(done.samples), "layouts": [str(path) for path in done.layouts.values()]}

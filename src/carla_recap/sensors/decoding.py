@@ -15,10 +15,10 @@ import numpy as np
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.sensors import RecordedSensor, kind_of, sensors
+from carla_recap.queries.sensors import IMAGES, RecordedSensor, kind_of, sensors
 from carla_recap.sensors.encoding import load_pillow
 from carla_recap.sensors.kinds import LARGEST_SIDE
-from carla_recap.util.text import single_line
+from carla_recap.util.text import nearest, single_line
 
 try:
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -68,6 +68,8 @@ _NUMERIC: Final = {
     PackedElementField.FLOAT32: "<f4",
     PackedElementField.FLOAT64: "<f8",
 }
+_KINDS: Final = (*IMAGES, "calibration", "points", "detections", kind_of(TRANSFORMS))
+"""The kinds of messages that are decoded, of recordings that `sense` and `capture` write."""
 _MOST_FIELDS: Final = 64  # of a point
 _KEY_UNITS: Final = (5, 7)  # the types of H.264 units with which decoding can begin: an image, parameters
 _LONGEST_GROUP: Final = 10.0  # s before a moment, in which the image before it, or the key frame of a video, is looked for
@@ -113,6 +115,9 @@ class SensorDecoder:
     Attributes:
         sensors: The sensors by their ids, in the order of the file.
         topics: The topics that are decoded.
+
+    Raises:
+        RecapError: There are no messages of such a kind that can be decoded, in this recording or another one.
     """
 
     def __init__(self, reader: Reader, kinds: Iterable[str] | None = None) -> None:
@@ -121,11 +126,16 @@ class SensorDecoder:
         self._reader = reader
         self.sensors: dict[str, RecordedSensor] = {sensor.id: sensor for sensor in sensors(reader)}
         names = [name for sensor in self.sensors.values() for name in sensor.topics]
-        self._decoders = {
+        known = {
             name: _DECODERS[further[name].topic.message]
             for name in (*names, *((TRANSFORMS,) if TRANSFORMS in further else ()))
-            if further[name].topic.message in _DECODERS and (wanted is None or kind_of(name) in wanted)
+            if further[name].topic.message in _DECODERS
         }
+        there = dict.fromkeys((*map(kind_of, known), *_KINDS))
+        for kind in wanted or ():
+            if kind not in there:
+                raise RecapError(f"{reader.location}: expected {nearest(kind, there)}, found the kind {kind!r:.200}")
+        self._decoders = {name: decode for name, decode in known.items() if wanted is None or kind_of(name) in wanted}
         self.topics = list(self._decoders)
 
     def messages(self, start: float, stop: float) -> Iterator[TopicMessage]:

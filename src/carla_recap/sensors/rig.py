@@ -13,7 +13,6 @@ import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,7 +20,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.sensors.kinds import LEADERBOARD_CHOICES, SENSOR_TYPES, SensorAttribute
 from carla_recap.util.files import read_document
-from carla_recap.util.text import first_of, visible
+from carla_recap.util.text import first_of, nearest, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -278,8 +277,7 @@ class _SensorReader:
             raise RecapError(f"{self._place}: {_key(members.repeated)}: is there twice; once was expected")
         type = self._text("type")
         if type not in SENSOR_TYPES:
-            near = get_close_matches(type[:_SHOWN], SENSOR_TYPES, n=1, cutoff=0.5)
-            self.refuse("type", near[0] if near else f"one of {', '.join(SENSOR_TYPES)}")
+            self.refuse("type", nearest(type, SENSOR_TYPES))
         self._type: SensorType = SENSOR_TYPES[type]
         self.is_map = type == _MAP
 
@@ -324,8 +322,7 @@ class _SensorReader:
         known = ["type", "id", *_POSE, *aliases, *attributes]
         for key in self._members:
             if key not in known:
-                near = get_close_matches(str(key)[:_SHOWN], known, n=1, cutoff=0.5)
-                expected = near[0] if near else f"one of {first_of(known, _LISTED)}"
+                expected = nearest(str(key), known, _LISTED)
                 raise RecapError(f"{self._place}: {_key(key)}: is no key of {self._type.name}; {expected} was expected")
         for alias, key in _ALIASES.items():
             if alias in self._members and key in self._members:

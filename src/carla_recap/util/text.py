@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
 
 def readable(text: str) -> str:
@@ -28,6 +28,14 @@ def first_of(names: Sequence[str], count: int = 3) -> str:
     """Return the first few names as a list in words, and how many more there are."""
     more = [f"and {len(names) - count} more"] * (len(names) > count)
     return ", ".join([*names[:count], *more]) or "none"
+
+
+def nearest(name: str, known: Collection[str], count: int = 100) -> str:
+    """Return what is expected instead of a name: the known one that is most like it, else one of the first few."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name[:100], known, n=1, cutoff=0.5)
+    return near[0] if near else f"one of {first_of(list(known), count)}"
 
 
 def single_line(text: object) -> str:
