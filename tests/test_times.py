@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from itertools import accumulate
 from pathlib import Path
@@ -17,7 +16,6 @@ from carla_recap.editing.author import packets_of
 from carla_recap.formats.carla_log import LogWriter
 from carla_recap.model.frame import Frame, Header
 from carla_recap.model.records import UE4
-from carla_recap.output.json import json as as_json
 
 STEP = float(np.float32(0.05))  # a bit more than 0.05
 TIMES = list(accumulate([STEP] * 500, initial=0.0))
@@ -75,13 +73,6 @@ def test_a_scene_of_a_round_time(recording: Recording, smooth: bool) -> None:
         assert (first.time, first.frame.index, len(first.collisions)) == (TIMES[HIT], HIT, 1)
     *_, last = Player(recording, start=10, duration=2.1).scenes()
     assert (last.frame.index, len(last.collisions)) == (HIT, 1)
-
-
-def test_json_prints_times_that_read_back(recording: Recording) -> None:
-    (row,) = json.loads("".join(as_json(recording.collisions())))["rows"]
-    assert row["elapsed"] == TIMES[HIT]
-    for time in (row["elapsed"], float(f"{row['elapsed']:.2f}")):
-        assert recording.frame_at(time).id == row["frame"]
 
 
 @given(

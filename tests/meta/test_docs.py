@@ -14,7 +14,7 @@ import tomllib
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from click import Context
@@ -22,8 +22,9 @@ from click import Context
 import carla_recap
 from carla_recap import MissingExtra, SensorRig
 from carla_recap.cli import cli
-from carla_recap.model.records import NO_ACTOR, ActorKind, Spawn, attributes
+from carla_recap.model.records import NO_ACTOR
 from tests.cli.command import printed
+from tests.replay.scripts import pose, spawn, write
 from tests.samples import ROOT
 from tests.waiting import PATIENCE
 
@@ -168,20 +169,15 @@ def scraping(path: Path) -> None:
         57: [(2, 1)],
         58: [(1, 2)],
     }
-    cars = [
-        Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero")),
-        Spawn(2, ActorKind.VEHICLE, type_id="vehicle.audi.tt"),
+    frames: list[dict[str, Any]] = [
+        {
+            "transforms": [pose(1, 100 * number), pose(2, 6000)],
+            "collisions": [(0, *pair, pair[0] == 1, False) for pair in touched.get(number, [])],
+        }
+        for number in range(101)
     ]
-    with carla_recap.create_recording(path, map_name="Town01", date=1_767_261_600) as recorder:
-        for number in range(101):
-            pairs = touched.get(number, [])
-            hits = {
-                "actor1": [one for one, _ in pairs],
-                "actor2": [two for _, two in pairs],
-                "hero1": [one == 1 for one, _ in pairs],
-            }
-            more = {"spawned": cars} if not number else {}
-            recorder.add_frame(number / 20, transforms={"id": [1, 2], "x": [100 * number, 6000]}, collisions=hits, **more)
+    frames[0]["spawned"] = [spawn(1, "vehicle.tesla.model3", role_name="hero"), spawn(2)]
+    write(path, frames, tick=0.05, date=1_767_261_600)
 
 
 def snippets() -> list[object]:

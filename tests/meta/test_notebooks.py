@@ -43,12 +43,12 @@ def test_every_notebook_says_what_it_needs():
 
 
 @every_notebook
-def test_a_notebook_runs_and_its_outputs_are_the_saved_ones(path):
+def test_a_notebook_runs_and_its_outputs_are_the_saved_ones(request, path):
     missing = [name for name in ("pandas", *NEEDED[path.stem]) if find_spec(name) is None]
     if missing:
         pytest.skip(f"{', '.join(missing)} is not installed")
     if "moderngl" in NEEDED[path.stem]:
-        skip_without_driver()
+        request.getfixturevalue("driver")
     executed, saved = SCRIPT["execute"](path), nbformat.read(path, as_version=4)
     assert [cell.source for cell in executed.cells] == [cell.source for cell in saved.cells]
     for one, other in zip(executed.cells, saved.cells, strict=True):
@@ -72,17 +72,6 @@ def test_a_notebook_is_saved_without_what_differs_from_run_to_run(path):
 def test_the_pages_that_a_notebook_links_to_exist(path):
     for target in re.findall(r"\]\(([^)#:]+)\)", "\n".join(cell.source for cell in nbformat.read(path, 4).cells)):
         assert (path.parent / target).exists(), target
-
-
-def skip_without_driver() -> None:
-    """Skip the test where nothing can be drawn."""
-    from carla_recap.errors import RecapError
-    from carla_recap.rendering.process import RenderProcess
-
-    try:
-        RenderProcess(None, quality="low").close()
-    except RecapError as error:
-        pytest.skip(str(error))
 
 
 def outputs(cell: Any) -> list[object]:

@@ -37,15 +37,10 @@ def light(id: int, state: int, elapsed: float = 0) -> Any:
 
 
 def write(
-    path: Path,
-    frames: Sequence[Script],
-    *,
-    tick: float = 1.0,
-    times: list[float] | None = None,
-    map_name: str = "Town01",
-    **options: Any,
+    path: Path, frames: Sequence[Script], *, tick: float = 1.0, times: list[float] | None = None, **options: Any
 ) -> Path:
-    with create_recording(path, map_name=map_name, date=0, **options) as recorder:
+    """Write a recording of frames, whose options are those of `create_recording`."""
+    with create_recording(path, **{"map_name": "Town01", "date": 0, **options}) as recorder:
         for place, frame in enumerate(frames):
             recorder.add_frame(times[place] if times else place * tick, **frame)
     return path

@@ -31,13 +31,25 @@ def library() -> Iterator[CarlaLibrary]:
     library.close()
 
 
-def all_differences(text: str, library: CarlaLibrary) -> list[Any]:
-    return differences(TownRoads(read_opendrive(text)), text, library) or []
+def all_differences(text: str, library: CarlaLibrary, **options: Any) -> list[Any]:
+    return differences(TownRoads(read_opendrive(text)), text, library, **options) or []
 
 
 @pytest.mark.parametrize("path", PATHS, ids=[path.stem for path in PATHS])
 def test_towns_are_equal(path: Path, library: CarlaLibrary) -> None:
-    assert all_differences(path.read_text(), library) == []
+    assert all_differences(path.read_text(), library, far=0.0, turned=1e-9) == []
+
+
+@pytest.mark.parametrize("path", PATHS, ids=[path.stem for path in PATHS])
+def test_lanes_are_sampled_to_their_ends(path: Path) -> None:
+    roads = TownRoads(read_opendrive(path.read_text()))
+    ends = {(road.number, part.number): (part.start, part.end) for road in roads.content.roads for part in road.sections}
+    for course in roads.lanes:
+        start, end = ends[course.road, course.section]
+        assert 0 <= course.stations[0] - start < 0.5
+        assert 0 < end - course.stations[-1] < 1 / 2048
+        assert (np.diff(course.stations) > 0).all()
+        assert np.diff(course.stations).max() <= 0.5
 
 
 @settings(deadline=None, suppress_health_check=list(HealthCheck))

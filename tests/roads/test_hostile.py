@@ -135,10 +135,6 @@ REFUSED: dict[str, tuple[str, Callable[[], str]]] = {
         ),
     ),
     "many empty elements": ("at most 4,000,000 elements, and it has more", lambda: opendrive(road(), "<a/>" * 4_000_000)),
-    "deep elements": (
-        "at most 200,000 elements in a road or junction, and one has more",
-        lambda: opendrive(road(), "<a>" * 200_001 + "</a>" * 200_001),
-    ),
     "a tag without an end": (
         "tags of at most 1 MB, and one is longer",
         lambda: opendrive(road(), f'<a b="{"x" * 10_000_000}"/>'),
@@ -173,24 +169,7 @@ REFUSED: dict[str, tuple[str, Callable[[], str]]] = {
         "road '1': elevation: expected what a road has",
         lambda: opendrive(road(length=3e4).replace('b="0" c="0" d="0"', 'b="1e3" c="1e3" d="1e3"', 1)),
     ),
-    "an endless width": (
-        "road '1': width: a: expected a number below 1,000,000,000, found '1e300'",
-        lambda: opendrive(road(sections=section(0, lane(1, "1e300"), lane(-1)))),
-    ),
     "entities": ("it declares entities, which no map does", entities),
-    "cut": ("the XML is invalid", lambda: opendrive(*(road(number) for number in range(1000)))[:-1000]),
-    "not a number": (
-        "road '1': road: length: expected a number below 1,000,000,000, found 'nan'",
-        lambda: opendrive(road(length="nan"), road(2, x="nan"), road(3, sections=section(0, lane(1, "nan")))),
-    ),
-    "negative lengths": (
-        "road '1': road: length: expected a number below 1,000,000,000, found '-1000000000.0'",
-        lambda: opendrive(road(length=-1e9), road(2).replace('length="100"', 'length="-100"')),
-    ),
-    "a spiral of curvature 10⁶": (
-        "road '1': spiral: expected a curve that a road has",
-        lambda: opendrive(road(length=1e3, shape='<spiral curvStart="0" curvEnd="1e6"/>')),
-    ),
     "many lanes in a junction": (
         "at most 500 lanes in a junction such as '5', and it has 502 and more",
         lambda: opendrive(*(road(n, y=n / 100, length=50, junction=5) for n in range(1, 300))),
@@ -207,11 +186,7 @@ MAPS: dict[str, tuple[tuple[str, ...], Callable[[], str]]] = {
     "many lanes": (("load_road_network",), lambda: opendrive(*MANY_LANES[:2000])),
     "many lanes in a town": (("load_rules", "load_town_mesh"), lambda: opendrive(*MANY_LANES)),
     "many spirals at one place": (
-        ("load_road_network",),
-        lambda: opendrive(*(road(n, length=200, shape='<spiral curvStart="-0.1" curvEnd="0.2"/>') for n in range(1, 2001))),
-    ),
-    "spirals above each other": (
-        ("load_town_mesh",),
+        ("load_road_network", "load_town_mesh"),
         lambda: opendrive(*(road(n, length=200, shape='<spiral curvStart="-0.1" curvEnd="0.2"/>') for n in range(1, 2001))),
     ),
     "a road of many arcs": (("load_road_network",), many_arcs),

@@ -29,10 +29,7 @@ if TYPE_CHECKING:
     from carla_recap.roads.opendrive import Road
 
 X, Y, HEADING = 7.0, -3.0, 0.6
-ONE_LANE = (
-    '<laneSection s="0"><center><lane id="0" type="none"/></center>'
-    '<right><lane id="-1" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/></lane></right></laneSection>'
-)
+ONE_LANE = section(0, right=lane(-1, 3))
 
 
 def road_of(course: str, length: float = 40.0, lanes: str = ONE_LANE, profiles: str = "") -> Road:
@@ -50,21 +47,6 @@ def road_of(course: str, length: float = 40.0, lanes: str = ONE_LANE, profiles: 
     return road
 
 
-def along(road: Road) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return stations, and the points there from the start of the road, along and to the left of its first heading."""
-    stations = np.linspace(0, road.length, 401)
-    points, headings = road.reference(stations)
-    dx, dy = points[:, 0] - X, points[:, 1] - Y
-    cos, sin = math.cos(HEADING), math.sin(HEADING)
-    return stations, np.stack((dx * cos + dy * sin, dy * cos - dx * sin)), headings - HEADING
-
-
-def test_a_piece_begins_at_its_station() -> None:
-    _, (u, _), turns = along(road_of('<line/>|<arc curvature="0.01"/>'))
-    assert u[[0, 199, 200]] == pytest.approx([0, 19.9, 0])
-    assert turns[[199, 200, 300]] == pytest.approx([0, 0, 0.1])
-
-
 def test_a_profile_is_a_cubic_from_each_of_its_stations() -> None:
     profile = Profile([(10.0, (1.0, 2.0, 3.0, 4.0)), (0.0, (5.0, -1.0, 0.5, -0.25))])
     stations = np.array([-1.0, 0.0, 2.0, 9.999, 10.0, 11.0, 12.0])
@@ -75,19 +57,13 @@ def test_a_profile_is_a_cubic_from_each_of_its_stations() -> None:
 
 
 def test_borders_are_to_the_left_and_right_of_the_shifted_middle() -> None:
-    def lane(id: int, width: float, more: float = 0.0) -> str:
-        return f'<lane id="{id}" type="driving"><width sOffset="0" a="{width}" b="{more}" c="0" d="0"/></lane>'
-
-    lanes = (
-        '<laneOffset s="0" a="0.5" b="0" c="0" d="0"/><laneSection s="0"><center><lane id="0"/></center></laneSection>'
-        f'<laneSection s="10"><left>{lane(2, 1)}{lane(1, 3)}</left><center><lane id="0"/></center>'
-        f"<right>{lane(-1, 4, 0.1)}{lane(-2, 2)}</right></laneSection>"
-    )
-    road = road_of("<line/>", lanes=lanes)
-    first, section = road.sections
-    assert (first.start, first.end, section.start, section.end) == (0, 10, 10, 40)
-    assert [lane.id for lane in section.lanes] == [2, 1, -1, -2]
-    borders = borders_at(road, section, np.array([10.0, 20.0]))
+    right = lane(-1, 4).replace('b="0"', 'b="0.1"') + lane(-2, 2)
+    sections = section(0) + section(10, lane(2, 1) + lane(1, 3), right)
+    road = road_of("<line/>", lanes=f'<laneOffset s="0" a="0.5" b="0" c="0" d="0"/>{sections}')
+    first, second = road.sections
+    assert (first.start, first.end, second.start, second.end) == (0, 10, 10, 40)
+    assert [lane.id for lane in second.lanes] == [2, 1, -1, -2]
+    borders = borders_at(road, second, np.array([10.0, 20.0]))
     assert borders.offsets[:, 0] == pytest.approx([4.5, 3.5, 0.5, -3.5, -5.5])
     assert borders.offsets[:, 1] == pytest.approx([4.5, 3.5, 0.5, -4.5, -6.5])
     left = np.array((-math.sin(HEADING), math.cos(HEADING)))
@@ -130,11 +106,8 @@ def test_many_roads_have_fewer_points_each() -> None:
         ("10", None, 10),
         ("10", "mph", 4.4704),
         ("undefined", "km/h", None),
-        ("", "km/h", None),
         (None, None, None),
-        ("nan", None, None),
         ("-5", None, None),
-        ("0", None, None),
     ],
 )
 def test_limits_have_units(value: str | None, unit: str | None, limit: float | None) -> None:

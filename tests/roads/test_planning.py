@@ -16,7 +16,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.queries.score.route_files import read_routes
 from carla_recap.roads.planning import RoutePlanner
 from tests.roads.lane_maps import carla_map, lanes, lanes_of, location, place
-from tests.roads.towns import TOWNS, lane, road, section, town
+from tests.roads.towns import lane, road, section, town
 from tests.twins.planning import PlainRoad, changes, shortest
 
 if TYPE_CHECKING:
@@ -59,28 +59,6 @@ def test_the_routes_of_the_leaderboard_are_carlas(path: Path, carlas_planner: An
     assert apart(found, np.array(expected)).max() <= 1.0
     lengths = [np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in (found, np.array(expected))]
     assert lengths[0] == pytest.approx(lengths[1], abs=0.1)
-
-
-@pytest.mark.parametrize("name", ["Town01", "Town10HD"])
-def test_the_graph_is_carlas(name: str, carlas_planner: Any) -> None:
-    """The edges of both planners have the same ends, in the same order, and the same lengths but for 1 by rounding."""
-    path = TOWNS / f"{name}.xodr"
-    if not path.exists():
-        pytest.skip(f"{path} is not here: it is data that is not part of the repository")
-    theirs = carlas_planner(carla_map(path), 1.0)
-    vertices = {number: (x, 0.0 - y, z + 0.0) for (x, y, z), number in theirs._id_map.items()}
-    ours = RoutePlanner(lanes_of(path))._edges
-    assert [vertices[number] for number in theirs._graph.nodes if number >= 0] == list(ours)
-    differences = []
-    for node, edges in ours.items():
-        number = next(number for number, vertex in vertices.items() if vertex == node)
-        assert [vertices[other] for other in theirs._graph.successors(number)] == list(edges)
-        differences += [
-            abs(theirs._graph.edges[number, other]["length"] - edges[vertices[other]].length)
-            for other in theirs._graph.successors(number)
-        ]
-    assert np.count_nonzero(differences) <= 5
-    assert max(differences) <= 1
 
 
 def linked(number: int, x: float, before: int | None, after: int | None, lanes: str) -> str:
@@ -186,7 +164,7 @@ def test_ways_are_those_of_the_twin(roads: list[PlainRoad], data: st.DataObject)
     expected = shortest(roads, start, stop)
     planner = RoutePlanner(town)
     if expected is None:
-        with pytest.raises(ValueError, match="no lanes lead"):
+        with pytest.raises(ValueError, match="no lanes lead from position 1 to position 2"):
             planner.route(np.array(ends))
         return
     at = planner.route(np.array(ends))
@@ -200,9 +178,7 @@ def test_ways_are_those_of_the_twin(roads: list[PlainRoad], data: st.DataObject)
     assert sum(roads[row].length for row in range(start[0], stop[0])) == pytest.approx(expected)
 
 
-def test_far_positions_and_roads_that_are_not_connected_are_errors() -> None:
-    planner = RoutePlanner(lanes(road(1), road(2, y=200)))
+def test_far_positions_are_errors() -> None:
+    planner = RoutePlanner(lanes(road()))
     with pytest.raises(ValueError, match="position 2 is far from all lanes for cars"):
         planner.route(np.array([(10.0, -1.75, 0.0), (5000.0, 0.0, 0.0)]))
-    with pytest.raises(ValueError, match="no lanes lead from position 1 to position 2"):
-        planner.route(np.array([(10.0, -1.75, 0.0), (10.0, 198.25, 0.0)]))

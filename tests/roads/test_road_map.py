@@ -4,7 +4,6 @@ import os
 import random
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,9 +11,6 @@ from carla_recap import RecapError
 from carla_recap.roads import files, load_map
 from tests.roads.towns import lane, opendrive, road, section
 from tests.waiting import PATIENCE, time_limit
-
-if TYPE_CHECKING:
-    pass
 
 SOUND = opendrive(road())
 NOT_MAPS = {

@@ -73,11 +73,15 @@ def test_objects_with_the_names_of_carla_are_signs_in_kilometres_per_hour(name: 
     assert served(text, [45, 55]) == [30, limit or 30]
 
 
-@pytest.mark.parametrize(("orientation", "limits"), [("-", (50, 90)), ("+", (90, 50)), ("none", (90, 90))])
-def test_a_sign_that_is_an_object_is_for_the_side_of_carla(orientation: str, limits: tuple[int, int]) -> None:
-    text = straight(objects=thing("Speed_90", 50, orientation), types='<type s="0"><speed max="50" unit="km/h"/></type>')
-    found = offline(text, [45], is_left=True), offline(text, [55])
-    assert found == ([limits[0]], [limits[1]]) == (served(text, [45], is_left=True), served(text, [55]))
+@pytest.mark.parametrize(
+    ("lanes", "left", "right"), [((-2, -1), 50, 72), ((1, 2), 72, 50), ((-1, 1), 72, 72), ((2, 9), 50, 50)]
+)
+def test_a_sign_is_for_the_range_of_its_lanes(lanes: tuple[int, int], left: int, right: int) -> None:
+    validity = f'><validity fromLane="{lanes[1]}" toLane="{lanes[0]}"/></signal>'
+    types = '<type s="0"><speed max="50" unit="km/h"/></type>'
+    text = straight(signals=signal("72", 50).replace("/>", validity), types=types)
+    found = offline(text, [40], is_left=True), offline(text, [60])
+    assert found == ([left], [right]) == (served(text, [40], is_left=True), served(text, [60]))
 
 
 def test_the_value_of_a_sign_is_in_kilometres_per_hour_whatever_its_unit_says() -> None:

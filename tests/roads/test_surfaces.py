@@ -93,18 +93,6 @@ def test_a_lane_of_two_centimetres_is_none(width: float, count: int) -> None:
     assert (build_network(text).lanes["id"] == -2).sum() == count
 
 
-# --- limits by station ---------------------------------------------------------------------------------------------------
-
-
-def limits_at(signal: str, points: list[tuple[float, float]]) -> list[int]:
-    """Return the limits at points of the straight road with another sign at x = 50, in km/h."""
-    sign = '<signal id="13" s="50" t="-4.5" type="274" orientation="+" zOffset="0" value="72" unit="km/h">\n'
-    validity = '    <validity fromLane="-1" toLane="-1"/></signal>'
-    assert sign + validity in STRAIGHT_ROAD
-    network = build_network(STRAIGHT_ROAD.replace(sign + validity, signal), "Signed")
-    return np.rint(network.lanes_at(np.array(points)).limit * 3.6).astype(int).tolist()
-
-
 @pytest.mark.parametrize(
     ("limits", "message"),
     [
@@ -122,20 +110,6 @@ def test_a_limit_that_makes_a_large_map_less_exact_warns(
     monkeypatch.setattr(*limits)
     with pytest.warns(RecapWarning, match=message):
         build_network(STRAIGHT_ROAD), barriers.barriers(TownRoads(read_opendrive(STRAIGHT_ROAD)).lanes)
-
-
-EAST, WEST = -1.75, 1.75
-
-
-@pytest.mark.parametrize(
-    ("lanes", "limits"), [((-2, -1), [72, 50]), ((1, 2), [50, 72]), ((-1, 1), [72, 72]), ((2, 9), [50, 50])]
-)
-def test_a_sign_is_for_the_range_of_its_lanes(lanes: tuple[int, int], limits: list[int]) -> None:
-    signal = (
-        '<signal id="13" s="50" t="0" type="274" orientation="+" value="72" unit="km/h">'
-        f'<validity fromLane="{lanes[1]}" toLane="{lanes[0]}"/></signal>'
-    )
-    assert limits_at(signal, [(60, EAST), (40, WEST)]) == limits
 
 
 @pytest.mark.parametrize("shape", ["<line/>", '<arc curvature="0.02"/>'])
@@ -157,28 +131,28 @@ def test_all_corners_of_a_crossing_are_read() -> None:
     assert len(outline) == 150
 
 
-def test_painted_lines_beyond_the_limit_warn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_lines, "_MOST_LINES", 1)
-    painted = towns.painted_stop(50, -1.75, 3.5)
-    content = read_opendrive(towns.opendrive(towns.road(1, inside=painted), towns.road(2, y=50, inside=painted)))
-    with pytest.warns(RecapWarning, match="of 2 painted stop lines, 1 are drawn"):
-        found, _ = stop_lines.drawn_stop_lines(content.roads)
-    assert np.shape(found) == (1, 2, 3)
-
-
-def test_signals_beyond_the_limit_warn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_lines, "_MOST_LINES", 1)
-    sign = towns.stop_sign(50, -1, -1)
-    signs = sign, sign.replace('id="7"', 'id="8"')
-    content = read_opendrive(towns.opendrive(*(towns.road(id, y=50 * id, inside=each) for id, each in enumerate(signs))))
-    with pytest.warns(RecapWarning, match="signals from 8 on are left out: those before have 1 stop lines"):
-        signals, lines, ids = stop_lines.signal_tables(content.roads)
-    assert (len(signals), len(lines), ids) == (1, 1, ("7",))
-
-
-def test_places_of_a_signal_beyond_the_limit_warn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_lines, "_MOST_PLACES", 1)
-    sign = towns.stop_sign(50, -1, -1)
-    content = read_opendrive(towns.opendrive(*(towns.road(id, y=50 * id, inside=sign) for id in (1, 2))))
-    with pytest.warns(RecapWarning, match="of 2 places of signal 7, 1 are looked at"):
-        stop_lines.signal_tables(content.roads)
+@pytest.mark.parametrize(
+    ("limit", "roads", "message"),
+    [
+        (
+            "_MOST_LINES",
+            [towns.road(id, y=50 * id, inside=towns.painted_stop(50, -1.75, 3.5)) for id in (1, 2)],
+            "of 2 painted stop lines, 1 are drawn",
+        ),
+        (
+            "_MOST_LINES",
+            [towns.road(id, y=50 * id, inside=towns.stop_sign(50, -1, -1).replace("7", str(id))) for id in (7, 8)],
+            "signals from 8 on are left out: those before have 1 stop lines",
+        ),
+        (
+            "_MOST_PLACES",
+            [towns.road(id, y=50 * id, inside=towns.stop_sign(50, -1, -1)) for id in (1, 2)],
+            "of 2 places of signal 7, 1 are looked at",
+        ),
+    ],
+)
+def test_stop_lines_beyond_a_limit_warn(monkeypatch: pytest.MonkeyPatch, limit: str, roads: list[str], message: str) -> None:
+    monkeypatch.setattr(stop_lines, limit, 1)
+    with pytest.warns(RecapWarning, match=message):
+        painted, others = stop_lines.drawn_stop_lines(read_opendrive(towns.opendrive(*roads)).roads)
+    assert len(painted) + len(others) == 1

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from carla_recap.roads.waypoints import FARTHEST, NONE, PARKING, LaneMap
+from carla_recap.roads.waypoints import FARTHEST, NONE, PARKING
 from tests.roads.lane_maps import carla_map, lanes, lanes_of, location, place
 from tests.roads.towns import PATHS, lane, road, section
 
@@ -15,17 +15,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def some_places(town: LaneMap, count: int, spread: float) -> np.ndarray[Any, Any]:
-    random = np.random.default_rng(7)
-    some = random.integers(0, len(town.lanes), count)
-    points = np.array([random.choice(town.lanes[number].centre) for number in some])
-    return points + random.normal(0, spread, (count, 3)) * (1, 1, 0.1)
-
-
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_the_nearest_place_is_as_near_as_carlas(path: Path) -> None:
     town, theirs = lanes_of(path), carla_map(path)
-    points = some_places(town, 300, 2.0)
+    random = np.random.default_rng(7)
+    near = np.array([random.choice(lane.centre) for lane in random.choice(np.array(town.lanes, object), 300)])
+    points = near + random.normal(0, 2.0, (300, 3)) * (1, 1, 0.1)
     at = town.nearest(points)
     for number, point in enumerate(points):
         other = np.linalg.norm(place(theirs.get_waypoint(location(point))) - point)

@@ -12,37 +12,22 @@ from carla_recap.scene.captions import EventText, Line, PlayedIncidents
 from tests.replay.scripts import pose, spawn, write
 
 
-def lines(path: Path, frames: list[dict[str, Any]], tick: float = 0.1) -> list[tuple[float, Line]]:
+def lines(path: Path, frames: list[dict[str, Any]]) -> list[tuple[float, Line]]:
     """Return the lines of a recording of some frames, with their times."""
     words = EventText()
-    with open_recording(write(path, frames, tick=tick)) as recording:
+    with open_recording(write(path, frames, tick=0.1)) as recording:
         return [(scene.time, line) for scene in Player(recording).scenes() for line in words.lines(scene)]
 
 
-def test_a_contact_is_a_line_again_after_a_pause(tmp_path: Path) -> None:
-    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, NO_ACTOR)}
-    frames = [{"transforms": [pose(1, 100 * n)]} for n in range(30)]
-    frames[0]["spawned"] = [spawn(1), spawn(2)]
+def test_a_contact_is_a_line_again_after_a_pause_and_with_another_actor_of_the_same_id(tmp_path: Path) -> None:
+    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, NO_ACTOR), 22: (2, 1), 23: (1, 2)}
+    frames: list[dict[str, Any]] = [{} for _ in range(30)]
+    frames[0]["spawned"], frames[23]["spawned"] = [spawn(1), spawn(2)], [spawn(2)]
     for number, (at, pair) in enumerate(contacts.items()):
         frames[at]["collisions"] = [(number, *pair, 0, 0)]
     found = [(round(time, 1), line.text) for time, line in lines(tmp_path / "in.log", frames) if line.contact]
     pair = "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)"
-    assert found == [(0.0, pair), (2.0, pair), (2.1, "vehicle.audi.tt (1) collides with a static object")]
-
-
-def test_a_contact_in_adjacent_frames_far_apart_is_one_line(tmp_path: Path) -> None:
-    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)] * (n in (1, 2, 3, 4, 6))} for n in range(9)]
-    frames[0]["spawned"] = [spawn(1), spawn(2)]
-    found = lines(tmp_path / "in.log", frames, tick=2.0)
-    assert [time for time, line in found if line.contact] == [2, 12]
-    with open_recording(tmp_path / "in.log") as recording:
-        assert recording.collisions().contacts == 2
-
-
-def test_another_actor_with_the_same_id_makes_another_contact(tmp_path: Path) -> None:
-    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)]} for n in range(6)]
-    frames[0]["spawned"], frames[3]["spawned"] = [spawn(1), spawn(2)], [spawn(2)]
-    assert [round(time, 1) for time, line in lines(tmp_path / "in.log", frames) if line.contact] == [0.0, 0.3]
+    assert found == [(0.0, pair), (2.0, pair), (2.1, "vehicle.audi.tt (1) collides with a static object"), (2.3, pair)]
 
 
 def test_many_spawns_and_destructions_are_counted(tmp_path: Path) -> None:

@@ -46,12 +46,6 @@ def test_speeds(tmp_path: Path, frames: list[dict[str, Any]], speeds: list[float
     assert series(tmp_path, frames).speed == pytest.approx(speeds, nan_ok=True)
 
 
-def test_an_actor_that_stands_is_measured_without_a_warning(tmp_path: Path) -> None:
-    with np.errstate(invalid="raise", divide="raise"):
-        found = series(tmp_path, [{"transforms": [pose(1)], "velocities": [velocity(1, 0)]} for _ in range(2)])
-    assert found.speed.tolist() == [0, 0]
-
-
 def test_speed_and_pedals_are_held_in_frames_without_the_actor(tmp_path: Path) -> None:
     there = {"transforms": [pose(1)], "velocities": [velocity(1, 7)], "vehicle_controls": [controls(0.5, 0, 0)]}
     found = series(tmp_path, [there, *({} for _ in range(12)), there])
@@ -112,37 +106,37 @@ def test_a_brake_is_held_at_a_standstill(tmp_path: Path) -> None:
     assert found.pedals.tolist() == [[0, 1]] * 4
 
 
+def signal(id: int, x: float, y: float = 0, z: float = 0, yaw: float = 90) -> Spawn:
+    """Return a light at a place in m, whose lane has the heading `yaw` - 90."""
+    return Spawn(id, ActorKind.TRAFFIC_LIGHT, 100 * x, 100 * y, 100 * z, 0, 0, yaw, 0, "traffic.traffic_light")
+
+
+def lights_ahead(folder: Path, *lights: Spawn, actor: str = "vehicle.audi.tt", **frame: Any) -> FollowedSeries:
+    """Return the series of an actor before lights, whose states are the remainders of their ids by 3."""
+    states = [light(each.id, each.id % 3) for each in lights]
+    own = {"transforms": [pose(1)], "spawned": [spawn(1, actor), *lights], "light_states": states}
+    return series(folder, [own | frame])
+
+
 def test_the_light_ahead_is_the_nearest_in_front(tmp_path: Path) -> None:
-    places = {10: 9000.0, 11: 4000.0, 12: 3000.0, 13: -500.0}
-    spawned = [spawn(1), *(spawn(id, "traffic.traffic_light", x, 90) for id, x in places.items())]
-    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(id, id % 3) for id in places]}
-    found = series(tmp_path, [frame])
+    found = lights_ahead(tmp_path, signal(10, 90), signal(11, 40), signal(12, 30), signal(13, -5))
     assert (found.light.tolist(), found.light_state.tolist()) == ([12], [0])
     assert found.light_distance == pytest.approx([30 - 2.09])  # half the length of the blueprint
 
 
-def test_the_light_ahead_is_that_of_the_heading(tmp_path: Path) -> None:
-    lights = [
-        Spawn(id, ActorKind.TRAFFIC_LIGHT, 0, y, 0, 0, 0, 180, 0, "traffic.light") for id, y in ((10, 3000), (11, -3000))
-    ]
-    frame = {"transforms": [pose(1, yaw=90)], "spawned": [spawn(1), *lights], "light_states": [light(10, 0), light(11, 0)]}
-    assert series(tmp_path, [frame]).light.tolist() == [10]
-
-
-@pytest.mark.parametrize(("height", "ahead"), [(6.0, [10]), (-6.0, [10]), (8.0, [NO_LIGHT]), (-8.0, [NO_LIGHT])])
-def test_a_light_of_a_road_above_or_below_is_not_ahead(tmp_path: Path, height: float, ahead: list[int]) -> None:
-    """30 m ahead, a slope of 10% leads 3 m up or down."""
-    signal = Spawn(10, ActorKind.TRAFFIC_LIGHT, 3000, 0, 100 * height, 0, 0, 90, 0, "traffic.traffic_light")
-    frame = {"transforms": [pose(1)], "spawned": [spawn(1), signal], "light_states": [light(10, 0)]}
-    assert series(tmp_path, [frame]).light.tolist() == ahead
-
-
-@pytest.mark.parametrize(("behind", "ahead"), [(1.5, 10), (2.5, NO_LIGHT)])
-def test_a_light_is_ahead_until_its_stop_line_is_behind_the_actor(tmp_path: Path, behind: float, ahead: int) -> None:
-    volume = (10, -100 * behind, 0, 0, 100, 100, 100)
-    spawned = [spawn(1), spawn(10, "traffic.traffic_light", 3000, 90)]
-    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(10, 0)], "trigger_volumes": [volume]}
-    assert series(tmp_path, [frame]).light.tolist() == [ahead]
+@pytest.mark.parametrize(
+    ("lights", "frame", "ahead"),
+    [
+        ([signal(10, 0, 30, yaw=180), signal(11, 0, -30, yaw=180)], {"transforms": [pose(1, yaw=90)]}, 10),
+        *(([signal(10, 30, z=height)], {}, 10) for height in (6, -6)),  # a slope of 10% leads 3 m up or down
+        *(([signal(10, 30, z=height)], {}, NO_LIGHT) for height in (8, -8)),
+        ([signal(10, 30)], {"trigger_volumes": [(10, -150, 0, 0, 100, 100, 100)]}, 10),
+        ([signal(10, 30)], {"trigger_volumes": [(10, -250, 0, 0, 100, 100, 100)]}, NO_LIGHT),  # its stop line is behind
+        ([signal(10, 30)], {"actor": "walker.pedestrian.0001"}, NO_LIGHT),
+    ],
+)
+def test_the_light_ahead(tmp_path: Path, lights: list[Spawn], frame: dict[str, Any], ahead: int) -> None:
+    assert lights_ahead(tmp_path, *lights, **frame).light.tolist() == [ahead]
 
 
 def test_an_actor_that_appears_in_the_last_scene_of_a_batch_has_the_speed_of_its_next_step(tmp_path: Path) -> None:

@@ -61,15 +61,6 @@ def test_nodes_are_moved_turned_and_scaled_with_those_above_them():
     assert part.positions.max(axis=0) == pytest.approx((18, 0, 0))
 
 
-def test_a_rotation_is_that_of_its_matrix():
-    """By 120 degrees about the diagonal: x becomes y, y becomes z, and z becomes x."""
-    matrix = [0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0, 1]
-    (turned,) = read_glb(changed("nodes.0.rotation", [0.5] * 4))
-    (expected,) = read_glb(changed("nodes.0.matrix", matrix))
-    assert turned.positions == pytest.approx(expected.positions)
-    assert turned.normals == pytest.approx(expected.normals)
-
-
 def test_a_mirrored_node_faces_outward():
     mirror = np.diag((-1.0, 1, 1, 1)).T.reshape(-1).tolist()
     (part,) = read_glb(changed("nodes.0.matrix", mirror))
@@ -102,29 +93,21 @@ def test_lines_and_points_are_left_out():
     ("data", "why"),
     [
         (b"", "does not begin with glTF"),
-        (b"PK\3\4" + bytes(100), "does not begin with glTF"),
         (b"glTF" + struct.pack("<II", 1, 12) + bytes(20), "version 1"),
         (glb(*square())[:-40], "cut"),
         (changed("extensionsRequired", ["KHR_draco_mesh_compression"]), "compressed by KHR_draco_mesh_compression"),
-        (changed("extensionsRequired", ["EXT_meshopt_compression"]), "compressed by EXT_meshopt_compression"),
         (changed("extensionsRequired", ["EXT_shape_of_water"]), "requires the extension EXT_shape_of_water"),
         (changed("meshes.0.primitives.0.mode", 5), "strips or fans"),
         (changed("nodes.0.children", [0]), "node 0 twice"),
         (changed("nodes.0.mesh", 7), "leads nowhere"),
         (changed("scenes.0.nodes", [-1]), "leads nowhere"),
-        (changed("nodes.0.mesh", -1), "leads nowhere"),
-        (changed("meshes.0.primitives.0.material", -1), "leads nowhere"),
-        (changed("meshes.0.primitives.0.indices", -2), "leads nowhere"),
         (changed("accessors.0.bufferView", -3), "leads nowhere"),
         (changed("nodes.0.translation", [1, "two", 3]), "of another type"),
         (changed("nodes.0.translation", [1e999, 0, 0]), "no finite numbers"),
-        (changed("nodes.0.matrix", [1, 2]), "of another type"),
         (changed("accessors.0.count", 10**9), "accessor 0 beyond the end"),
-        (changed("accessors.0.byteOffset", -4), "accessor 0 beyond the end"),
         (changed("accessors.0.type", "VEC2"), "VEC2 in accessor 0"),
         (changed("accessors.1.sparse", {}), "sparse"),
         (changed("bufferViews.0.byteStride", 0), "accessor 0 beyond the end"),
-        (changed("bufferViews.2.byteLength", 10**12), "accessor 2 beyond the end"),
         (changed("buffers.0.uri", "http://localhost/points.bin"), "outside of the file"),
         (glb(*square(np.array((0, 1, 9), "<u2"))), "corner 9 among 4"),
         (glb(*square(np.array((0, 1), "<u2"))), "2 corners"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carla_recap.scene.gltf import read_glb
-from carla_recap.scene.materials import MATERIALS, Material, Tag
+from carla_recap.scene.materials import Material
 from carla_recap.scene.models import INDEX, MODELS
 from tools.models.__main__ import FOLDER, models
 
@@ -72,14 +72,6 @@ def test_the_sides_face_outward():
         assert volume > 0, model.name
 
 
-def test_left_and_right_mirror_each_other():
-    for name in (*CARS, *TRUCKS):
-        mesh = MODELS[INDEX[name]].mesh
-        points = {tuple(point) for point in np.round(mesh.vertices, 3).tolist()}
-        mirrored = {tuple(point) for point in (np.round(mesh.vertices, 3) * (1, -1, 1)).tolist()}
-        assert points == mirrored, name
-
-
 @pytest.mark.parametrize(
     ("material", "ahead", "left"),
     [
@@ -99,14 +91,6 @@ def test_lamps_are_where_they_belong(material, ahead, left):
         assert not ahead or (points[:, 0] * ahead).max() > 0.95, name
         assert not ahead or (points[:, 0] * ahead > 0.2).all() or name == "pickup"  # with a lamp on its cab
         assert not left or (points[:, 1] * left > 0).all(), name
-
-
-def test_parts_of_an_actor_have_its_tag():
-    others = "traffic light", "collision mark"
-    for model in MODELS:
-        if "sign" not in model.name and "limit" not in model.name and model.name not in others:
-            tags = {MATERIALS[Material(number)].tag for number in np.unique(model.mesh.materials)}
-            assert tags <= {None, Tag.RIDER, Tag.VEGETATION}, model.name
 
 
 def test_front_wheels_are_steered_about_their_middle():

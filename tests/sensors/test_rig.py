@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import pickle
 import re
 import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,8 +24,8 @@ LIDAR = {"type": "sensor.lidar.ray_cast", "id": "top", "x": 0.0, "y": 0.0, "z": 
 RADAR = {"type": "sensor.other.radar", "id": "radar", "x": 2.0, "y": 0.0, "z": 1.0}
 
 
-def without_place(members: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in members.items() if key not in ("x", "y", "z")}
+def without(members: dict[str, Any], *keys: str) -> dict[str, Any]:
+    return {name: value for name, value in members.items() if name not in keys}
 
 
 def sensor(kind: str, id: str, **members: Any) -> dict[str, Any]:
@@ -39,13 +38,8 @@ def test_a_sensor_has_its_pose_and_all_attributes() -> None:
     assert (front.id, front.type, front.kind, front.image) == ("front", "sensor.camera.rgb", "camera", "rgb")
     assert (front.x, front.y, front.z, front.roll, front.pitch, front.yaw) == (1.5, 0.0, 1.6, 0.0, 0.0, -90.0)
     assert front.attributes.keys() == SENSOR_TYPES[front.type].attributes.keys()
-    assert [front.attributes[key] for key in ("image_size_x", "image_size_y", "fov", "gamma", "iso")] == [
-        320,
-        240,
-        100,
-        2,
-        100,
-    ]
+    given = {"image_size_x": 320, "image_size_y": 240, "fov": 100, "gamma": 2, "iso": 100}
+    assert {key: front.attributes[key] for key in given} == given
     assert front.attributes["enable_postprocess_effects"] is True
     assert (top.kind, top.image, top.number("channels"), top.number("lower_fov")) == ("lidar", None, 32.0, -30.0)
     assert (len(rig), rig["top"]) == (2, top)
@@ -57,8 +51,6 @@ def test_a_sensor_has_its_pose_and_all_attributes() -> None:
 def test_a_rig_can_have_each_type_and_is_made_again_of_its_dicts(kind: str) -> None:
     rig = SensorRig.of([sensor(kind, "a")])
     assert rig["a"].attributes == {key: attribute.default for key, attribute in SENSOR_TYPES[kind].attributes.items()}
-    assert SensorRig.of(rig.to_dicts()) == rig
-    assert pickle.loads(pickle.dumps(rig)) == rig
     assert SensorRig.of(json.loads(json.dumps(rig.to_dicts()))) == rig
 
 
@@ -153,15 +145,13 @@ def test_the_objects_of_ros_bridge_are_a_rig_in_carlas_axes(tmp_path: Path) -> N
     ("objects", "message"),
     [
         (5, "objects: expected a list of objects"),
-        ([], "expected a vehicle with sensors and the id ego_vehicle, found none"),
         ([{"type": "vehicle.a.b", "id": name, "sensors": []} for name in "ab"], "the id ego_vehicle, found 2"),
         ([{"type": "vehicle.a.b", "sensors": [{"id": "a", "type": "sensor.camera.rbg"}]}], "sensor.camera.rgb was expected"),
         (
-            [{"type": "vehicle.a.b", "sensors": [{**without_place(LIDAR), "spawn_point": {"x": "1"}}]}],
+            [{"type": "vehicle.a.b", "sensors": [{**without(LIDAR, *"xyz"), "spawn_point": {"x": "1"}}]}],
             "'top': x: \"1\"; a number",
         ),
-        ([{"type": "vehicle.a.b", "sensors": [{**without_place(LIDAR), "spawn_point": {"w": 1}}]}], "'top': w: is no key"),
-        ([{"type": "vehicle.a.b", "sensors": [{**LIDAR, "spawn_point": 1}]}], "'top': spawn_point: expected an object"),
+        ([{"type": "vehicle.a.b", "sensors": [{**without(LIDAR, *"xyz"), "spawn_point": {"w": 1}}]}], "'top': w: is no key"),
     ],
 )
 def test_objects_that_are_no_rig_are_refused(objects: Any, message: str) -> None:
@@ -170,43 +160,29 @@ def test_objects_that_are_no_rig_are_refused(objects: Any, message: str) -> None
     assert message in str(raised.value)
 
 
-def without(members: dict[str, Any], key: str) -> dict[str, Any]:
-    return {name: value for name, value in members.items() if name != key}
-
-
 WRONG: list[tuple[Any, str]] = [
     ({}, "a list of sensors"),
     ([], "has no sensors"),
     ([5], "sensor 1: 5; an object"),
-    ([FRONT, [1, 2]], "sensor 2: a list of 2; an object"),
     ([without(FRONT, "id")], "sensor 1: id is missing"),
     ([{**FRONT, "id": 3}], "sensor 1: id: 3; a text"),
     ([{**FRONT, "id": "a/b"}], 'sensor 1: id: "a/b"; a name'),
-    ([{**FRONT, "id": "1st"}], "sensor 1: id: "),
     ([{**FRONT, "id": "a" * 65}], "sensor 1: id: "),
-    ([{**FRONT, "id": "a\n"}], "sensor 1: id: "),
     ([FRONT, FRONT], "sensor 2: id: 'front'; another one than that of sensor 1"),
     ([without(FRONT, "type")], "sensor 'front': type is missing"),
     ([{**FRONT, "type": "sensor.camera.rbg"}], 'type: "sensor.camera.rbg"; sensor.camera.rgb was expected'),
-    ([{**FRONT, "type": "?"}], "one of sensor.camera.rgb, "),
     ([without(FRONT, "z")], "sensor 'front': z is missing"),
     ([{**FRONT, "x": "1"}], "sensor 'front': x: \"1\"; a number"),
-    ([{**FRONT, "x": True}], "sensor 'front': x: true; a number"),
     ([{**FRONT, "x": math.nan}], "sensor 'front': x: nan; a number from -1000 to 1000"),
     ([{**FRONT, "z": 10**400}], "sensor 'front': z: a number of many digits; "),
     ([{**FRONT, "fov": 0}], "sensor 'front': fov: 0; a number from 0.1 to 175 degrees was expected"),
     ([{**FRONT, "width": 0}], "sensor 'front': width: 0; a whole number from 1 to 4096 pixels"),
-    ([{**FRONT, "width": 320.5}], "sensor 'front': width: 320.5; a whole number"),
     ([{**FRONT, "image_size_x": 320}], "sensor 'front': width: is image_size_x, which is given, too"),
     ([{**FRONT, "colour": 1}], "sensor 'front': colour: is no key of sensor.camera.rgb; one of type, id, x, y, z, "),
     ([{**FRONT, "pich": 1}], "pich: is no key of sensor.camera.rgb; pitch was expected"),
-    ([{**FRONT, 7: 1}], "sensor 'front': 7: is no key"),
     ([{**FRONT, "exposure_mode": "auto"}], 'exposure_mode: "auto"; histogram or manual'),
     ([{**FRONT, "enable_postprocess_effects": 1}], "enable_postprocess_effects: 1; true or false"),
     ([{**LIDAR, "channels": 1_000_000}], "sensor 'top': channels: 1000000; a whole number from 1 to 512"),
-    ([{**LIDAR, "range": {}}], "sensor 'top': range: an object of 0; "),
-    ([{**LIDAR, "dropoff_general_rate": 1.1}], "sensor 'top': dropoff_general_rate: 1.1; a number from 0 to 1"),
-    ([{**RADAR, "vertical_fov": 180}], "sensor 'radar': vertical_fov: 180; a number from 0.1 to 179"),
     ([{**FRONT, "id": f"camera{number}"} for number in range(101)], "has 101 sensors; 100 at most"),
 ]
 
@@ -255,16 +231,6 @@ def test_a_file_that_is_no_rig_is_refused(tmp_path: Path, content: bytes, messag
     assert "\n" not in str(raised.value)
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RecapError, match=r"none\.json: cannot be read: No such file"):
-        SensorRig.load(tmp_path / "none.json")
-    with pytest.raises(RecapError, match="cannot be read: Is a directory"):
-        SensorRig.load(tmp_path)
-    os.mkfifo(tmp_path / "rig.json")
-    with pytest.raises(RecapError, match=r"rig\.json: is not a regular file"):
-        SensorRig.load(tmp_path / "rig.json")
-
-
 KEYS = st.text(max_size=5) | st.sampled_from(["type", "id", *"xyz", "yaw", "fov", "width", "channels", "exposure_mode"])
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from([*SENSOR_TYPES])
 VALUES = SCALARS | st.lists(SCALARS, max_size=2) | st.dictionaries(KEYS, SCALARS, max_size=2)
@@ -298,16 +264,10 @@ def test_whatever_is_given_is_a_rig_or_an_error_of_one_line(rig: Any) -> None:
 def test_the_samples_have_their_sensors(name: str, kinds: dict[str, int]) -> None:
     rig = SensorRig.load(RIGS / f"{name}.json")
     assert Counter(sensor.kind for sensor in rig) == kinds
-    cameras = [sensor for sensor in rig if sensor.kind == "camera"]
-    if name == "leaderboard":
-        assert SensorRig.load(RIGS / "leaderboard.json", leaderboard=True) == rig
-        assert {(camera.number("image_size_x"), camera.number("image_size_y")) for camera in cameras} == {(400.0, 300.0)}
-        assert sorted(camera.yaw % 360 for camera in cameras) == [0, 60, 120, 180, 240, 300]
-        assert all(math.hypot(sensor.x, sensor.y, sensor.z) <= 3.0 for sensor in rig)  # the Leaderboard refuses others
+    assert name != "leaderboard" or SensorRig.load(RIGS / "leaderboard.json", leaderboard=True) == rig
     for sensor in rig if name == "nuscenes" else ():
         assert re.fullmatch(r"CAM_\w+|LIDAR_TOP|RADAR_\w+", sensor.id)
-        assert (sensor.y < 0) == sensor.id.endswith("_LEFT")
-        assert (sensor.y > 0) == sensor.id.endswith("_RIGHT")
+        assert np.sign(sensor.y) == sensor.id.endswith("_RIGHT") - sensor.id.endswith("_LEFT")
         assert ("BACK" in sensor.id) <= (abs(sensor.yaw) > 90)
 
 

@@ -48,23 +48,16 @@ def frames(driver: None, tmp_path_factory: pytest.TempPathFactory) -> list[Sense
         return list(sense(recording, RIG, quality="low"))
 
 
-def test_a_car_ahead_has_its_distance_in_the_depth_image(frames: list[SensedFrame]) -> None:
+def test_a_car_ahead_has_its_distance_in_the_depth_image_and_in_points(frames: list[SensedFrame]) -> None:
     for index, frame in enumerate(frames):
-        seen = frame.samples["ids"].data == AHEAD
-        assert seen.sum() > 1000
-        assert frame.samples["depth"].data[seen].min() == pytest.approx(GAP + SPEED * STEP * index, abs=0.05)
-
-
-def test_a_car_ahead_has_its_distance_in_lidar_points(frames: list[SensedFrame]) -> None:
-    for index, frame in enumerate(frames):
+        distance = pytest.approx(GAP + SPEED * STEP * index, abs=0.05)
+        assert frame.samples["depth"].data[frame.samples["ids"].data == AHEAD].min() == distance
         points = frame.samples["semantic_lidar"].data
         points = points[points["actor"] == AHEAD]
-        assert len(points) > 20
-        assert points["x"].min() == pytest.approx(GAP + SPEED * STEP * index, abs=0.05)
+        assert points["x"].min() == distance
         assert np.abs(points["y"]).max() < BOX[4] / 100 + 0.01
         plain = frame.samples["lidar"].data
-        ahead = plain[(np.abs(plain["y"]) < 0.9) & (plain["z"] > -0.9) & (plain["x"] > 0)]
-        assert ahead["x"].min() == pytest.approx(GAP + SPEED * STEP * index, abs=0.05)
+        assert plain["x"][(np.abs(plain["y"]) < 0.9) & (plain["z"] > -0.9) & (plain["x"] > 0)].min() == distance
 
 
 def corners(id: int, time: float = 0.0) -> np.ndarray:
@@ -175,13 +168,6 @@ def test_optical_flow_is_the_motion_of_pixels(frames: list[SensedFrame]) -> None
     left, _, right, _ = pixels_of(frames[2], AHEAD)
     assert flow[row, left + 4, 0] > 0.1
     assert flow[row, right - 4, 0] < -0.1
-
-
-def test_sensors_measure_at_their_ticks(frames: list[SensedFrame]) -> None:
-    assert [frame.time for frame in frames] == pytest.approx([0.0, STEP, 2 * STEP])
-    assert ["gnss" in frame.samples for frame in frames] == [True, False, True]
-    others = {spec.id for spec in RIG} - {"gnss"}
-    assert all(others <= frame.samples.keys() for frame in frames)
 
 
 def test_a_carrier_at_rest(frames: list[SensedFrame]) -> None:
@@ -332,16 +318,9 @@ def test_without_a_driver_other_sensors_go_on(tmp_path: Path, monkeypatch: pytes
     assert frame.samples.keys() == {"imu", "speed"}
 
 
-def test_a_camera_behind_its_carrier_sees_it(driver: None, tmp_path: Path) -> None:
-    behind = {"type": "sensor.camera.instance_segmentation", "id": "ids", **CAMERA, "x": -8.0, "z": 3.0, "pitch": -10.0}
+@pytest.mark.parametrize(("x", "z", "is_seen"), [(-8.0, 3.0, True), (0.0, 1.0, False)])
+def test_a_camera_sees_its_carrier_but_from_inside(driver: None, tmp_path: Path, x: float, z: float, is_seen: bool) -> None:
+    camera = {"type": "sensor.camera.instance_segmentation", "id": "ids", **CAMERA, "x": x, "z": z, "pitch": -10.0}
     with carla_recap.open_recording(drive(tmp_path / "cars.mcap", 1)) as recording:
-        (frame,) = sense(recording, SensorRig.of([behind]), quality="low")
-    assert HERO in frame.samples["ids"].data
-    assert HERO not in next(iter(sense_front(tmp_path))).samples["ids"].data
-
-
-def sense_front(folder: Path) -> list[SensedFrame]:
-    """Return what a camera inside the hero sees."""
-    inside = {"type": "sensor.camera.instance_segmentation", "id": "ids", **CAMERA, "x": 0.0, "z": 1.0}
-    with carla_recap.open_recording(folder / "cars.mcap") as recording:
-        return list(sense(recording, SensorRig.of([inside]), quality="low"))
+        (frame,) = sense(recording, SensorRig.of([camera]), quality="low")
+    assert (HERO in frame.samples["ids"].data) == is_seen

@@ -59,21 +59,25 @@ class CarlaLibrary:
 
 _CHANGES = {(False, False): "NONE", (True, False): "Left", (False, True): "Right", (True, True): "Both"}
 _AHEAD = {True: "Positive", False: "Negative", None: "Both"}
+_EVERY = 40  # points of a lane
 _FAR = 0.05  # m
 _TURNED = 0.5  # degrees
 
 
-def differences(roads: TownRoads, text: str, library: CarlaLibrary, every: int = 40) -> list[Any] | None:
+def differences(
+    roads: TownRoads, text: str, library: CarlaLibrary, *, far: float = _FAR, turned: float = _TURNED
+) -> list[Any] | None:
     """Return where roads and landmarks differ from the library's; None if it cannot read the map.
 
-    The library's `next` and `previous` leave out lanes that lead back to where one comes from, unlike its topology.
+    Some points of each lane are compared, which may be some m and degrees apart. The library's `next` and `previous` leave
+    out lanes that lead back to where one comes from, unlike its topology.
     """
     ends = {(road.number, part.number): (part.start, part.end) for road in roads.content.roads for part in road.sections}
     places = []
     for lane in roads.lanes:
         start, end = ends[lane.road, lane.section]
         last = len(lane.stations) - 1
-        for index in sorted({0, last // 2 + 1, last, *range(0, last, every)}):
+        for index in sorted({0, last // 2 + 1, last, *range(0, last, _EVERY)}):
             station = float(lane.stations[index])
             beyond = station - start if index == 0 else end - station if index == last else 0.0
             places.append((lane, index, (lane.road, lane.id, station, beyond + 0.01)))
@@ -87,7 +91,7 @@ def differences(roads: TownRoads, text: str, library: CarlaLibrary, every: int =
             before.setdefault(other, set()).add(name)
     found: list[Any] = []
     for (lane, index, place), point in zip(places, theirs["waypoints"], strict=True):
-        differing = ["waypoint"] if point is None else list(_differing(lane, index, point, lanes, before))
+        differing = ["waypoint"] if point is None else list(_differing(lane, index, point, lanes, before, far, turned))
         found += [(what, place, point) for what in differing]
     if {tuple(name) for name in theirs["driving"]} != {name for name, lane in lanes.items() if lane.is_driving}:
         found.append("driving lanes")
@@ -100,7 +104,9 @@ def differences(roads: TownRoads, text: str, library: CarlaLibrary, every: int =
     return found + list(_differing_landmarks(roads, theirs["landmarks"]))
 
 
-def _differing(lane: LaneGeometry, index: int, point: Any, lanes: dict[Any, Any], before: dict[Any, Any]) -> Any:
+def _differing(
+    lane: LaneGeometry, index: int, point: Any, lanes: dict[Any, Any], before: dict[Any, Any], far: float, turned: float
+) -> Any:
     name = lane.road, lane.section, lane.id
     leading = set(lane.successors), before[name]
     first, last = (-1, 0) if lane.reverse else (0, -1)
@@ -114,18 +120,22 @@ def _differing(lane: LaneGeometry, index: int, point: Any, lanes: dict[Any, Any]
         "left": (point["left"], list(beside[0]) if beside[0] in lanes else None),
         "right": (point["right"], list(beside[1]) if beside[1] in lanes else None),
     }
-    facts["change"] = point["change"], _CHANGES[lane.allowed(float(lane.stations[index])).changes]
+    station = float(lane.stations[index])
+    allowed = lane.allowed(station)
+    facts["station"] = point["station"], station
+    facts["change"] = point["change"], _CHANGES[allowed.changes]
+    facts["crossings"] = point["crossings"], list(allowed.crossings)
     if index == last:
         facts["next"] = _known(point["next"], lanes), _known(leading[0] - leading[1], lanes)
     if index == first:
         facts["previous"] = _known(point["previous"], lanes), _known(leading[1] - leading[0], lanes)
     yield from (what for what, (theirs, ours) in facts.items() if theirs != ours)
     width = np.linalg.norm(lane.left[index] - lane.right[index])
-    if not np.abs(lane.centre[index] - point["position"]).max() < _FAR:
+    if not np.abs(lane.centre[index] - point["position"]).max() <= far:
         yield "position"
-    if not _turn(np.degrees(lane.headings[index]), point["yaw"]) < _TURNED:
+    if not _turn(np.degrees(lane.headings[index]), point["yaw"]) <= turned:
         yield "yaw"
-    if not abs(width - abs(point["width"])) < _FAR:
+    if not abs(width - abs(point["width"])) <= max(far, 1e-6):
         yield "width"
 
 
@@ -191,11 +201,16 @@ def _waypoint(point: Any, beyond: float) -> dict[str, Any] | None:
         "kind": str(point.lane_type),
         "junction": point.junction_id if point.is_junction else -1,
         "change": str(point.lane_change),
+        "crossings": [_crossed(point.left_lane_marking, "Left"), _crossed(point.right_lane_marking, "Right")],
         "next": sorted({_name(other) for other in point.next(beyond)}),
         "previous": sorted({_name(other) for other in point.previous(beyond)}),
         "left": None if left is None else _name(left),
         "right": None if right is None else _name(right),
     }
+
+
+def _crossed(marking: Any, side: str) -> bool:
+    return bool(marking) and str(marking.lane_change) in (side, "Both")
 
 
 def _landmark(mark: Any) -> tuple[Any, ...]:
