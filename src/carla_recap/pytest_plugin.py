@@ -312,14 +312,11 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
         files = [item.path.parent / marker.kwargs["rules"]] if marker and marker.kwargs.get("rules") else []
         if item.config.option.carla_recap_rules:
             files.append(_rules(item.config))
-        broken = ""
         try:
             for file in files:
                 world.assert_rules(file)
         except AssertionError as error:
-            broken = str(error)
-        if broken:
-            pytest.fail(broken, pytrace=False)
+            raise pytest.fail.Exception(str(error), pytrace=False) from None
     return result
 
 

@@ -36,10 +36,9 @@ _COMMANDS: Final = {
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),
-    "check": ("check", "metrics"),
+    "check": ("check", "metrics", "diff"),
     "campaign": ("campaign",),
     "score": ("score",),
-    "diff": ("diff",),
     "index": ("index", "sql"),
     "doctor": ("doctor",),
 }

@@ -35,13 +35,8 @@ def doctor(form: str | None = options.json) -> None:
     These are the versions, the device that draws pictures, the extras, the maps and the cache. What is missing is no error:
     the exit code is 0.
     """
-    found = {
-        "versions": _versions(),
-        "drawing": _drawing(),
-        "extras": _extras(),
-        "maps": _maps(),
-        "cache": _cache(),
-    }
+    parts = {"versions": _versions, "drawing": _drawing, "extras": _extras, "maps": _maps, "cache": _cache}
+    found = {name: part() for name, part in parts.items()}
     emit(form, json=partial(indented, found), text=partial(_text, found))
 
 
@@ -50,13 +45,9 @@ def _versions() -> dict[str, str | None]:
         _PACKAGE: _version(_PACKAGE),
         "python": platform.python_version(),
         "system": platform.platform(),
-        "carla": _client(),
+        # the client may be in a package that is named after its release
+        "carla": _version("carla") or next((each.name for each in distributions() if _CLIENT.fullmatch(each.name)), None),
     }
-
-
-def _client() -> str | None:
-    """Return the version of CARLA's client, or the package that it is in, which may be named after its release."""
-    return _version("carla") or next((each.name for each in distributions() if _CLIENT.fullmatch(each.name)), None)
 
 
 def _drawing() -> dict[str, Any]:
@@ -66,10 +57,9 @@ def _drawing() -> dict[str, Any]:
 
     try:
         device = drawing_device()
-    except RecapError as error:
-        return {"device": None, "gpu": False, "error": str(error)}
-    except Exception as error:  # of a broken package, while it is imported
-        return {"device": None, "gpu": False, "error": f"{type(error).__name__}: {single_line(error)}"}
+    except Exception as error:  # also of a broken package, while it is imported
+        said = str(error) if isinstance(error, RecapError) else f"{type(error).__name__}: {single_line(error)}"
+        return {"device": None, "gpu": False, "error": said}
     return {**device, "gpu": _ON_PROCESSOR.search(device["device"]) is None, "error": None}
 
 
@@ -78,7 +68,7 @@ def _extras() -> dict[str, dict[str, str | None]]:
     packages: defaultdict[str, dict[str, str | None]] = defaultdict(dict)
     try:
         required = requires(_PACKAGE) or []
-    except (PackageNotFoundError, OSError, ValueError):
+    except PackageNotFoundError:
         return {}
     for match in filter(None, map(_REQUIREMENT.match, required)):
         name, extra = match.groups()
@@ -124,8 +114,6 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-    except (OSError, ValueError) as error:  # its metadata are damaged
-        return f"unknown ({type(error).__name__})"
 
 
 def _text(found: dict[str, Any]) -> Iterator[str]:

@@ -16,7 +16,7 @@ from carla_recap.cli import opening, options
 from carla_recap.cli.check import loaded_rules
 from carla_recap.cli.options import PORT, POSITIVE, SIZE, TIME, argument, command, flag, option
 from carla_recap.cli.output import counted, json_of_written, note, wrote
-from carla_recap.cli.progress import watch, watch_incidents
+from carla_recap.cli.progress import watch
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.errors import MissingExtra
 from carla_recap.exports import FORMATS, find_format, write_part
@@ -180,7 +180,7 @@ def clips(
             rerun=rerun,
             road_map=roads,
             town=town,
-            progress=watch_incidents("cutting"),
+            progress=watch("cutting"),
             **how,
         )
     for each in written:

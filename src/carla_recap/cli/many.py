@@ -98,8 +98,10 @@ class QueryRequest(SourcesRequest):
         try:
             with self.reading("reading", partial(answers, query, self.shape)) as (given, messages):
                 too_many = _print(given, self.shape, messages, self.max_rows)
-        except BrokenPipeError:
-            _end_as_by_a_closed_pipe()
+        except BrokenPipeError:  # as without a handler, the pipe's end is that of this process
+            if (number := getattr(signal, "SIGPIPE", None)) is not None:
+                signal.signal(number, signal.SIG_DFL)
+                signal.raise_signal(number)
             raise
         end(failed=messages.failed, unmet=too_many)
 
@@ -191,13 +193,6 @@ class Messages:
 
 def _with_location(message: str, location: str) -> str:
     return message if location in message else f"{location}: {message}"
-
-
-def _end_as_by_a_closed_pipe() -> None:
-    number = getattr(signal, "SIGPIPE", None)
-    if number is not None:
-        signal.signal(number, signal.SIG_DFL)
-        signal.raise_signal(number)
 
 
 def _text(given: Iterable[RecordingAnswer]) -> Iterator[str]:

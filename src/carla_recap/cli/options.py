@@ -8,6 +8,7 @@ import re
 from contextlib import suppress
 from dataclasses import fields
 from functools import partial, wraps
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
@@ -334,12 +335,6 @@ def min_time(type: click.ParamType[Any] = NUMBER) -> Any:
     return option("--min-time", type=type, default=30, metavar="S", help="Shortest stop to report, in s.")
 
 
-def _load_incident_options() -> type[IncidentOptions]:
-    from carla_recap.queries.incidents import IncidentOptions
-
-    return IncidentOptions
-
-
 incident_options = together(
     road_map,
     option("--actor", type=FOLLOW, metavar="ID|hero", help="The actor that has to take part in the incidents; else any."),
@@ -362,7 +357,7 @@ incident_options = together(
         metavar="M/S²",
         help="Least deceleration that a near miss by its time to collision requires.",
     ),
-    gathered("wanted", _load_incident_options),
+    gathered("wanted", lambda: import_module("carla_recap.queries.incidents").IncidentOptions),
 )
 """The options that say which incidents to find, as an `IncidentOptions`."""
 

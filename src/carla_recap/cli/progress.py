@@ -15,12 +15,11 @@ import click
 from carla_recap.cli.output import is_quiet
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from rich.progress import Progress as Bar
 
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.incidents import Incident
     from carla_recap.replay.player import Player
 
 T = TypeVar("T")
@@ -34,22 +33,16 @@ def _is_shown() -> bool:
     return is_command and sys.stderr.isatty() and os.environ.get("TERM") not in ("dumb", "unknown") and not is_quiet()
 
 
-def watch(title: str) -> Callable[[Iterable[Any], Any], Iterable[Any]]:
-    """Return a wrapper of the batches of a recording, or of its scenes."""
+def watch(title: str) -> Callable[..., Iterable[Any]]:
+    """Return a wrapper of the batches of a recording, or of its scenes, or of a list."""
 
-    def progress(items: Iterable[Any], source: Reader | Player) -> Iterable[Any]:
+    def progress(items: Iterable[Any], source: Reader | Player | None = None) -> Iterable[Any]:
+        if source is None:
+            items = list(items)
+            return _bar(items, title, len(items), items.index)
         if hasattr(source, "extent"):
             return _bar(items, title, source.extent().duration, lambda batch: batch.elapsed[-1].item())
         return _bar(items, title, source.stop - source.start, lambda scene: scene.time - source.start)
-
-    return progress
-
-
-def watch_incidents(title: str) -> Callable[[Sequence[Incident]], Iterable[Incident]]:
-    """Return a wrapper of incidents."""
-
-    def progress(found: Sequence[Incident]) -> Iterable[Incident]:
-        return _bar(found, title, len(found), found.index)
 
     return progress
 
@@ -100,16 +93,12 @@ class SourcesBar:
             self._bar.stop()
             self._bar = None
 
-    def advance(self) -> None:
-        """Count a recording."""
-        if self._bar is not None:
-            self._bar.advance(self._task)
-
     def counted(self, items: Iterable[T]) -> Iterator[T]:
         """Yield items, and count each when it has been taken in."""
         for item in items:
             yield item
-            self.advance()
+            if self._bar is not None:
+                self._bar.advance(self._task)
 
     @contextmanager
     def aside(self) -> Iterator[None]:
@@ -122,11 +111,10 @@ class SourcesBar:
         self._bar.start()
 
 
-def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterable[T]:
-    return _watched(items, title, total, position) if _is_shown() and not SourcesBar.is_open else items
-
-
-def _watched(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterator[T]:
+def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], float]) -> Iterator[T]:
+    if SourcesBar.is_open or not _is_shown():
+        yield from items
+        return
     from rich.console import Console
     from rich.progress import Progress
 

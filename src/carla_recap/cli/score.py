@@ -13,7 +13,7 @@ from carla_recap.cli import options
 from carla_recap.cli.many import SourcesRequest
 from carla_recap.cli.options import FOLLOW, PERCENT, Parsed, command, flag, option
 from carla_recap.cli.output import emit, end, fail, indented, wrote
-from carla_recap.output.terminal import TableColumn, print_table
+from carla_recap.output.terminal import TableColumn, number_column, print_table
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -184,22 +184,7 @@ def _rows(scores: Sequence[Score]) -> list[tuple[str, ...]]:
     """Return a row for each score, and the mean and the standard deviation of all."""
     from carla_recap.queries.score.checkpoint import bench2drive, means
 
-    rows: list[tuple[str, ...]] = [
-        (
-            visible(each.recording),
-            visible(each.route),
-            f"{each.score:.2f}",
-            f"{each.completion:.2f}" if each.route else "",
-            f"{each.penalty:.3f}",
-            f"{each.duration:.1f}",
-            each.outcome,
-            _counts(each),
-            "" if each.success is None else "yes" if each.success else "no",
-            _percent(each.efficiency),
-            _percent(each.smoothness),
-        )
-        for each in scores
-    ]
+    rows = [tuple(column.cell(each) for column in _COLUMNS) for each in scores]
     averages, overall = means(scores), bench2drive(scores)
     rate = overall["success_rate"]
     driving = (
@@ -219,24 +204,24 @@ def _percent(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-_COLUMNS: Final = (
-    TableColumn("Recording", narrowed="middle"),
-    TableColumn("Route"),
-    TableColumn("Score", is_number=True),
-    TableColumn("Completion (%)", is_number=True),
-    TableColumn("Penalty", is_number=True),
-    TableColumn("Duration (s)", is_number=True, rank=2),
-    TableColumn("Status", narrowed="end", rank=1),
-    TableColumn("Infractions", narrowed="words"),
-    TableColumn("Success", rank=3),
-    TableColumn("Efficiency (%)", is_number=True, rank=4),
-    TableColumn("Smoothness (%)", is_number=True, rank=4),
-)
-
-
 def _counts(score: Score) -> str:
     """Return the numbers of infractions by kind."""
     from carla_recap.queries.score import INFRACTIONS
 
     counts = {name: score.count(name) for name in INFRACTIONS}
     return ", ".join(f"{count} x {name}" for name, count in counts.items() if count)
+
+
+_COLUMNS: Final = (
+    TableColumn("Recording", lambda each: visible(each.recording), narrowed="middle"),
+    TableColumn("Route", lambda each: visible(each.route)),
+    number_column("Score", lambda each: f"{each.score:.2f}"),
+    number_column("Completion (%)", lambda each: f"{each.completion:.2f}" if each.route else ""),
+    number_column("Penalty", lambda each: f"{each.penalty:.3f}"),
+    number_column("Duration (s)", lambda each: f"{each.duration:.1f}", rank=2),
+    TableColumn("Status", lambda each: each.outcome, narrowed="end", rank=1),
+    TableColumn("Infractions", _counts, narrowed="words"),
+    TableColumn("Success", lambda each: "" if each.success is None else "yes" if each.success else "no", rank=3),
+    number_column("Efficiency (%)", lambda each: _percent(each.efficiency), rank=4),
+    number_column("Smoothness (%)", lambda each: _percent(each.smoothness), rank=4),
+)
