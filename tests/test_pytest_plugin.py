@@ -239,23 +239,15 @@ def test_the_recordings_and_pages_of_failed_tests_are_kept_and_no_others(run: Ru
     assert kept == sorted(f"test_drive-{name}{suffix}" for name in KEPT for suffix in (".mcap", ".html"))
 
 
-def test_the_report_of_a_failed_test_names_its_recording_and_its_page(run: Run) -> None:
-    stem = run.folder / "carla-recordings" / "test_drive-test_breaks_rules"
-    assert f"recording: {stem}.mcap\npage: {stem}.html" in run.section("test_breaks_rules")
-
-
 @pytest.mark.parametrize("name", ["test_breaks_rules", "test_breaks_the_rules_of_its_marker"])
-def test_broken_rules_are_named(run: Run, name: str) -> None:
-    section = run.section(name)
+def test_broken_rules_are_named_and_the_page_opens_at_the_offence(run: Run, name: str) -> None:
+    section, stem = run.section(name), run.folder / "carla-recordings" / f"test_drive-{name}"
     assert "1 of 1 rules are broken" in section
     assert "harmless: 1 collision of the hero instead of at most 0: hero collides with vehicle.audi.tt" in section
     assert "def assert_rules" not in section
     assert "def pytest_runtest_call" not in section
-
-
-@pytest.mark.parametrize("name", ["test_breaks_rules", "test_breaks_the_rules_of_its_marker"])
-def test_the_page_opens_at_the_offence_and_names_the_broken_rule(run: Run, name: str) -> None:
-    opening = data(run.folder / "carla-recordings" / f"test_drive-{name}.html", "report")["opening"]
+    assert f"recording: {stem}.mcap\npage: {stem}.html" in section
+    opening = data(Path(f"{stem}.html"), "report")["opening"]
     assert 0 < opening["time"] < 3
     assert [note.partition(":")[0] for note in opening["notes"]] == ["harmless"]
 
@@ -273,13 +265,15 @@ def test_a_kept_recording_is_complete(run: Run) -> None:
         assert recording.info.additional_data
 
 
-def test_an_unknown_map_is_named(run: Run) -> None:
-    assert "'Atlantis': there is no such map" in run.section("test_wants_an_unknown_map")
-
-
-def test_a_wrong_marker_is_explained(run: Run) -> None:
-    expected = "the marker carla takes map=, rules=, fixed_delta_seconds=, synchronous= alone"
-    assert expected in run.section("test_has_a_wrong_marker")
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("test_wants_an_unknown_map", "'Atlantis': there is no such map"),
+        ("test_has_a_wrong_marker", "the marker carla takes map=, rules=, fixed_delta_seconds=, synchronous= alone"),
+    ],
+)
+def test_what_is_wrong_with_a_marker_is_said(run: Run, name: str, message: str) -> None:
+    assert message in run.section(name)
 
 
 @pytest.fixture(scope="module")
@@ -305,7 +299,8 @@ def parallel(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run_pytest(folder, "-n2", "--dist=load", "-rA", *(f"--carla-recap-{option}" for option in options))
 
 
-def test_an_option_gives_rules_for_all_tests(parallel: Run) -> None:
+def test_an_option_gives_rules_for_all_tests_and_each_worker_has_a_server(parallel: Run) -> None:
+    assert len(set(re.findall(r"port (\d+)", parallel.output))) == 2
     failed = {name for name, children in parallel.results.items() if any(child.tag == "failure" for child in children)}
     assert (len(parallel.results), failed) == (3, {"test_mine[2]"})
     assert "\nharmless: 1 collision of the hero instead of at most 0" in parallel.output
@@ -322,10 +317,6 @@ def test_the_same_test_gives_the_same_recording(parallel: Run) -> None:
         assert one.diff(other).equal
         times, others = (recording.table("light_states")["elapsed"].tolist() for recording in (one, other))
     assert times == others
-
-
-def test_workers_have_servers_of_their_own(parallel: Run) -> None:
-    assert len(set(re.findall(r"port (\d+)", parallel.output))) == 2
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,6 @@ def test_a_time_of_0_is_accepted_and_with_compat_a_negative_one():
     assert answer("blocked", CROSSING, "--min-time", "0")
     rows = answer("blocked", CROSSING, "--compat", "--min-time", "-1").splitlines()
     assert len(rows) > len(answer("blocked", CROSSING, "--compat", "--min-time", "0.5").splitlines())
-    assert "'--min-time': '-1'" in error("blocked", CROSSING, "--min-time", "-1")
 
 
 @pytest.mark.parametrize("command", [["info"], ["info", "--compat"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
@@ -162,26 +161,6 @@ def test_max_rows():
 
 
 # --- bad input ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["nonsense"],
-        ["info"],
-        ["info", CROSSING, "--compat", "--json"],
-        ["actors", CROSSING, "--compat"],
-        ["convert", CROSSING],
-        ["collisions", CROSSING, "--types", EVIL[:2]],
-        ["blocked", CROSSING, "--min-time", "nan"],
-        ["blocked", CROSSING, "--min-distance", "-1"],
-        [f"--{EVIL}"],
-        [f"{EVIL}\n"],
-    ],
-    ids=lambda value: re.sub(r"\W+", "-", " ".join(getattr(word, "name", word) for word in value)),
-)
-def test_invalid_arguments(arguments):
-    error(*arguments)
 
 
 @pytest.mark.parametrize("name", [f"{EVIL}.log", "two\nlines.log", "\u202egol.log", "\udcff.log"])

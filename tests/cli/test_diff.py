@@ -59,13 +59,6 @@ def test_a_table_on_a_terminal():
     assert all(len(re.sub("\x1b[^m]*m", "", line)) <= 120 for line in shown.splitlines())
 
 
-def test_bad_input(tmp_path):
-    assert "No such file" in error("diff", CRASH, tmp_path / "none.mcap")
-    (tmp_path / "text.log").write_text("no recording")
-    assert "text.log" in error("diff", tmp_path / "text.log", CRASH)
-    assert "'-1' is not a number of 0 or more" in error("diff", CRASH, CRASH, "--tolerance", -1)
-
-
 def test_a_page_and_an_rrd(tmp_path):
     clip(CRASH, tmp_path / "b.mcap", start=0.0, duration=10.0)
     done = run("diff", CRASH, tmp_path / "b.mcap", "--html", tmp_path / "page.html", "--no-events")

@@ -71,26 +71,6 @@ def test_an_export_of_files_counts_them(tmp_path):
     assert "out: is not empty; --force writes over" in error("export", CROSSING, tmp_path / "out", "--to", "parquet")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("out.rrd", "--follow", "somebody"), "'somebody' is neither an actor id nor hero"),
-        (("out.mcap", "--to", "rerun"), "'out.mcap' does not end in .rrd"),
-        (("out.csv", "--follow", "hero"), "--follow does not go with --to csv"),
-        (("out.xosc", "--view", "top"), "--view does not go with --to xosc"),
-        (("out", "--to", "parquet", "--start", "0"), "--start does not go with --to parquet"),
-        (("out.mcap", "--cameras", "cameras"), "--cameras"),
-        (("out.rrd", "--map", "broken.xodr"), "broken.xodr: "),
-        (("out.rrd", "--map", "."), "crossing.log: no .xodr in . for the map 'Crossing'"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else " ".join(value),
-)
-def test_invalid_arguments_of_export(tmp_path, arguments, message):
-    (tmp_path / "broken.xodr").write_text("<html>")
-    assert message in error("export", CROSSING, *arguments, cwd=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["broken.xodr"]
-
-
 # --- clips -----------------------------------------------------------------------------------------------------
 
 
@@ -140,13 +120,6 @@ def test_a_picture_at_a_time_of_a_text_is_of_the_frame_whose_time_it_rounds(tmp_
     assert found == pytest.approx([0.86, 1.3642, 1.361, -1.0])
 
 
-def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):
-    out = ("snapshot", CROSSING, tmp_path / "out.png", "--at")
-    assert "nothing 53.1 s before the end; the recording has 53 s" in error(*out, "-53.1")
-    assert "nothing at 99 s" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "99")
-    assert "'12' is no size" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "1", "--size", "12")
-
-
 def test_the_port_of_the_web_viewer_is_the_one_that_is_asked_for(monkeypatch):
     given = []
     monkeypatch.setattr("carla_recap.show.rerun.viewer.view", lambda _, **how: given.append((how["web"], how["web_port"])))
@@ -173,18 +146,6 @@ def test_a_report_as_one_file(tmp_path):
     assert line.startswith(f"wrote {page}: 8 incidents, ")
 
 
-def test_a_report_of_wrong_arguments_is_an_error(tmp_path):
-    page = tmp_path / "page.html"
-    assert "names a file" in error("report", CROSSING, CROSSING, page)
-    assert "--serve goes with a folder" in error("report", CROSSING, page, "--serve")
-    assert "--serve prints its address" in error("report", CROSSING, tmp_path / "page", "--serve", "--json")
-    assert "--viewer goes with a folder" in error("report", CROSSING, page, "--viewer")
-    assert "--viewer goes with one recording" in error(
-        "report", CROSSING, tmp_path / "page", "--compare", CROSSING, "--viewer"
-    )
-    assert not page.exists()
-
-
 def test_the_page_is_served_until_it_is_interrupted(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -204,12 +165,6 @@ def test_a_table_is_imported(tmp_path):
     (tmp_path / "tracks.csv").write_text("t,id,east,y\n0,7,1,2\n1,7,2,2\n")
     done = run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--column", "x=east", "--hero", "7")
     assert (done.returncode, wrote(done.stderr)) == (0, [f"{tmp_path / 'out.log'}: 2 frames, 1 s"])
-    assert "no NAME=COLUMN" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--column", "east")
-
-
-@pytest.mark.parametrize("date", ["soon", "0001-01-01T00:00:00+14:00"])
-def test_an_invalid_date_of_an_import_is_an_error(tmp_path, date):
-    assert f"'{date}' is no date" in error("import", CROSSING, tmp_path / "b.log", "--date", date)
 
 
 @pytest.mark.parametrize("date", ["2024-05-01T12:30:00Z", "2024-05-01T14:30+02:00", local_date(1_714_566_600)])

@@ -18,7 +18,7 @@ from carla_recap import create_recording, open_recording
 from carla_recap.output.table import cells
 from carla_recap.queries.summary import summary
 from carla_recap.roads import find_map
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, run_here, the_line, written
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, on_terminal, run, run_here, the_line, written
 from tests.samples import warnings_ignored
 from tests.waiting import is_running, time_limit, wait_until
 
@@ -61,10 +61,9 @@ def test_rows_have_the_name_of_their_recording_in_front(whole, command):
     assert lines(command, "runs", *options) == expected
 
 
-@pytest.mark.parametrize("options", [[], ["--all"]])
-def test_info_has_all_lines_of_each_recording(whole, options):
-    text = [line for line in lines("info", CROSSING, *options) if line]
-    assert lines("info", "runs/a.log", "runs/d.log", *options) == [
+def test_info_has_all_lines_of_each_recording(whole):
+    text = [line for line in lines("info", CROSSING) if line]
+    assert lines("info", "runs/a.log", "runs/d.log") == [
         f"runs/{name}\t{line}" for name in ("a.log", "d.log") for line in text
     ]
 
@@ -79,10 +78,6 @@ def test_csv_without_rows_has_its_heading(tmp_path):
 def test_a_list_of_recordings_is_read_from_stdin(whole):
     done = run("collisions", "-", input=b"runs/d.log\n\nruns/*.mcap\r\n")
     assert done.stdout.decode().splitlines() == lines("collisions", "runs/d.log", "runs/b.mcap")
-
-
-def test_a_long_answer_is_the_same_by_processes(whole):
-    assert answer("info", "--all", "runs", "--jobs", "2") == answer("info", "--all", "runs", "--jobs", "1")
 
 
 # --- errors ------------------------------------------------------------------------------------------------
@@ -239,4 +234,3 @@ def test_limits_of_near_misses_are_options():
         words = ("--kinds", "near-miss", "--json", option, value)
         near = json.loads(answer("incidents", CROSSING.with_name(name), *words))
         assert value in {row["threshold"] for row in near["rows"]}
-        assert option in error("incidents", CROSSING, option, "61")

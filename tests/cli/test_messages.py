@@ -18,7 +18,7 @@ import click
 import pytest
 
 from carla_recap import cli, create_recording
-from carla_recap.cli.output import BAD_INPUT, log_to_stderr
+from carla_recap.cli.output import log_to_stderr
 from carla_recap.output.terminal import TableColumn, print_table
 from tests.cli.command import CROSSING, ENVIRONMENT, run_here, written, wrote
 from tests.waiting import PATIENCE
@@ -200,37 +200,6 @@ def test_a_table_fits_in_any_terminal():
 
 
 # --- errors ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["colisions"], "No such command 'colisions'. Did you mean 'collisions'? Try 'carla-recap --help'."),
-        (["sql", "index", "select 1", "--json", "--csv"], "--json and --csv: one of them was expected. "),
-        (["collisions", CROSSING, "--json", "--text"], "--json and --text: one of them was expected. "),
-        (["info", CROSSING, "--jso"], "(Did you mean one of: '--jobs', '--json'?)"),
-        (["snapshot", ".", "out.png", "--at", "3"], ".: is a folder; a recording was expected, a .log or .mcap file"),
-        (
-            ["snapshot", CRASH, "out.png", "--at", "3", "--follow", "99"],
-            "no actor 99 to follow; known ids are 41 (hero), 47 (vehicle), 46 (vehicle)",
-        ),
-        (
-            ["export", CRASH, "out.foo"],
-            "'out.foo' does not end in .rrd, .mcap, .csv or .xosc; --to names what is a folder: parquet",
-        ),
-        (
-            ["convert", "ftp://a/b.mcap", "out.log"],
-            "unknown kind of URL; s3, gs, az, abfs, http, https or file was expected",
-        ),
-        (["clip", CRASH, "out.log", "--start", "99"], "nothing at 99 s; the recording ends at 59.95 s"),
-    ],
-    ids=lambda value: value[0] if isinstance(value, list) else "",
-)
-def test_an_error_is_a_line_that_says_what_to_do(invoke, arguments, message):
-    done = invoke(*arguments)
-    assert (done.code, done.out, done.err.count("\n")) == (BAD_INPUT, "", 1)
-    assert message in done.err
-    assert not list(Path().iterdir())
 
 
 @pytest.mark.parametrize(("other", "told"), [("Town5", "an unknown map: 'Town5'"), ("", "unknown maps: 'Town5', (no name)")])

@@ -104,24 +104,3 @@ def test_several_route_files_have_the_routes_of_all(tmp_path: Path) -> None:
     lines = answer("score", CRASH, "--route", ROUTES, "--route", other, "--route-id", "7", "--formula", "2.1").splitlines()
     assert lines[0] == "route 7 of Brickfield: Completed"
     assert lines[1].startswith("score 37.04 = ")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((), "One of --route and --from-drive was expected."),
-        (("--from-drive", "--route", ROUTES), "One of --route and --from-drive was expected."),
-        (("--from-drive", "--route-id", "1"), "--route-id goes with --route."),
-        (("--from-drive", "--min-completion", "1"), "--min-completion goes with --route."),
-        (("--from-drive", "--junit", "out.xml"), "--junit goes with a limit, such as --min-score."),
-        (("--from-drive", "--min-score", "nan"), "'nan' is not a number of 0 to 100."),
-        (("--from-drive", "--min-completion", "101"), "'101' is not a number of 0 to 100."),
-        (("--from-drive", "--max", "red_light"), "'red_light' is no limit; KIND=N was expected, such as red_light=0"),
-        (("--from-drive", "--max", "speeding=0"), "'speeding=0' is no limit"),
-        (("--from-drive", "--actor", "99999"), "crash.mcap: no vehicle 99999; known ids are 41 (hero)"),
-        (("--route", "none.xml"), "none.xml: No such file or directory"),
-        (("--route", ROUTES, "--route-id", "9"), f"{ROUTES}: there is no route '9'; it has 1, 2"),
-    ],
-)
-def test_wrong_options_are_errors(arguments: tuple[object, ...], message: str) -> None:
-    assert message in error("score", CRASH, *arguments)

@@ -33,34 +33,6 @@ def test_record(tmp_path):
         assert len(recording.heroes) == 1
 
 
-def test_invalid_arguments_of_record(tmp_path):
-    assert "town 'Atlantis': expected Brickfield" in error("record", tmp_path / "a.log", "--town", "Atlantis")
-    assert "unknown format" in error("record", tmp_path / "a.txt", *FEW)
-    assert "has room for" in error("record", tmp_path / "a.log", "--vehicles", "1000", "--walkers", "0")
-    assert "'--seed': -1" in error("record", tmp_path / "a.log", "--seed", "-1")
-    assert "is not a number of more than 0" in error("record", tmp_path / "a.log", "--duration", "0")
-    assert "found an empty text" in error("record", tmp_path / "a.log", "--town", "")
-    assert "--crash and --blocked" in error("record", tmp_path / "a.log", "--crash", "--blocked")
-    (tmp_path / "b.xodr").write_text("<OpenDRIVE/>")
-    assert "b.xodr: " in error("record", tmp_path / "a.log", "--town", tmp_path / "b.xodr")
-    (tmp_path / "b.xodr").unlink()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_invalid_destinations_of_record(tmp_path):
-    (tmp_path / "folder.log").mkdir()
-    (tmp_path / "file").touch()
-    without = "no suffix, which says the format; .log or .mcap was expected"
-    town = ("--town", "Atlantis")  # the destination is looked at first
-    assert "exists already" in error("record", CROSSING, *town)
-    for name in ("bare", "-", "/dev/null"):
-        assert error("record", name, "--force", *town, cwd=tmp_path) == f"{name}: {without}"
-    assert "cannot be written: is a directory" in error("record", tmp_path / "folder.log", "--force", *town)
-    assert "is a file; a folder was expected" in error("record", tmp_path / "file" / "a.log", *town)
-    assert error("replay", CROSSING, "bare", "--force", *town, cwd=tmp_path) == f"bare: {without}"
-    assert names_in(tmp_path) == ["file", "folder.log"]
-
-
 @pytest.mark.parametrize("command", [("record",), ("replay", CROSSING)])
 def test_missing_folders_are_made(tmp_path, command):
     path = tmp_path / "new" / "folder" / "a.log"
@@ -147,12 +119,3 @@ def test_a_recording_is_not_replayed_onto_itself(tmp_path):
         for destination in (crash, tmp_path / "link.mcap"):
             assert error("replay", source, destination, "--force") == f"{destination}: is the source itself"
     assert crash.read_bytes() == before
-
-
-def test_invalid_arguments_of_replay(tmp_path):
-    out = tmp_path / "a.mcap"
-    assert "none.log" in error("replay", tmp_path / "none.log", out)
-    assert "unknown format" in error("replay", CRASH, tmp_path / "a.txt")
-    assert list(tmp_path.iterdir()) == []
-    out.write_text("mine")
-    assert "exists already" in error("replay", CRASH, out)

@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
@@ -62,15 +61,6 @@ def test_json_has_what_was_written_and_what_failed(runs):
     assert "is not a recording" in document["failed"][0]["error"]
     assert document["skipped"] == []
     assert Path("out/a.log").read_bytes() == CROSSING.read_bytes()
-
-
-def test_processes_write_what_one_writes(runs):
-    for index in range(5):
-        shutil.copy(CROSSING, runs / f"{index}.log")
-    for jobs in (1, 2):
-        assert run("convert", "runs", f"out{jobs}", "--jobs", jobs).returncode == 2
-    assert files(Path("out1")) == files(Path("out2"))
-    assert all((Path("out1") / name).read_bytes() == (Path("out2") / name).read_bytes() for name in files(Path("out1")))
 
 
 def test_what_is_there_is_not_replaced_unless_asked(runs):
@@ -138,11 +128,6 @@ def test_folders_that_stay_empty_are_removed(runs):
     assert Path("kept").is_dir()
 
 
-@pytest.mark.parametrize("sources", [("runs/a.log",), ("runs/a.log", "runs/deep")])
-def test_an_empty_destination_is_refused(runs, sources):
-    assert "a path or a URL was expected" in error("convert", *sources, "")
-
-
 def test_many_are_recovered(runs):
     (runs / "c.log").write_bytes(CROSSING.read_bytes()[:-3000])
     done = run("recover", "runs", "out", "--json")
@@ -156,8 +141,6 @@ def test_many_are_exported(runs):
     done = run("export", "runs", "out", "--to", "csv", "--duration", 2)
     assert done.returncode == 2
     assert wrote(done.stderr) == ["out/a.csv: 21 frames, 2 s", "out/deep/b.csv: 41 frames, 2 s"]
-    assert "--to says what" in error("export", "runs", "out")
-    assert "does not go with --to csv" in error("export", "runs", "out", "--to", "csv", "--follow", "hero")
 
 
 def test_folders_of_many(runs):
@@ -175,7 +158,6 @@ def test_a_page_of_each(runs):
     assert files(Path("out")) == {"a.html", "deep/b.html"}
     warned = [line for line in messages(done) if "warning" in line]
     assert len(warned) == 1
-    assert "goes with one recording" in error("report", "runs", "out", "--compare", CRASH)
 
 
 @pytest.mark.parametrize(
@@ -201,9 +183,7 @@ def test_ctrl_c_leaves_nothing_half_written(runs):
     ) as process:
         wait_until(lambda: len(files(Path("out"))) > 3 or process.poll() is not None)
         os.killpg(process.pid, signal.SIGINT)
-        started = time.monotonic()
         process.communicate(timeout=PATIENCE)
-    assert time.monotonic() - started < PATIENCE
     assert process.returncode == 130
     found = files(Path("out"))
     assert 0 < len(found) < 300

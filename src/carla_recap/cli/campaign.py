@@ -133,7 +133,7 @@ class CampaignRequest:
 
 @command(
     options.described_by(CampaignRequest),
-    options.gathered("request", lambda: CampaignRequest),
+    options.merged("request", lambda: CampaignRequest),
 )
 def campaign(request: CampaignRequest) -> NoReturn:
     """Run a simulation with many seeds and parameters, each run a recording, and compare them.

@@ -96,11 +96,7 @@ def _layouts(path: str) -> list[str]:
     options.models,
     options.foxglove,
 )
-def watch(
-    to: str | None,
-    foxglove_port: int | None,
-    **given: Any,
-) -> None:
+def watch(to: str | None, foxglove_port: int | None, **given: Any) -> None:
     """Show what a CARLA server does live, in Rerun's viewer or in Foxglove."""
     from carla_recap.capture.live import watch as run
 

@@ -6,7 +6,6 @@ import inspect
 import math
 import re
 from contextlib import suppress
-from dataclasses import fields
 from functools import partial, wraps
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
@@ -84,32 +83,18 @@ def command(*more: Callable[[Command], Command], **how: Any) -> Callable[[Comman
     return decorate
 
 
-def gathered(name: str, load: Callable[[], type[Any]]) -> Callable[[Command], Command]:
-    """Return a decorator that passes the parameters of a command that are fields of a dataclass as an instance of it.
+def merged(name: str | None, load: Callable[[], Callable[..., Any]], *options: Callable[[Command], Command]) -> Any:
+    """Return options as one decorator; a command gets what a function, or a dataclass, makes of those that it takes.
 
-    `load` returns the dataclass when the command runs, so that the help does not import it.
+    Without a name, the command does not get it. `load` returns the function when the command runs, so that the help does not
+    import it; its parameters may also be options that stand before this one.
     """
 
     def decorate(command: Command) -> Command:
         @wraps(command)
         def with_one(**given: Any) -> Any:
-            kind = load()
-            own = {field.name: given.pop(field.name) for field in fields(kind) if field.name in given}
-            return command(**{name: kind(**own)}, **given)
-
-        return with_one
-
-    return decorate
-
-
-def merged(name: str | None, merge: Callable[..., Any], *options: Callable[[Command], Command]) -> Any:
-    """Return options as one decorator; a command gets what a function makes of their values, if that has a name."""
-
-    def decorate(command: Command) -> Command:
-        @wraps(command)
-        def with_one(**given: Any) -> Any:
-            own = {each: given.pop(each) for each in inspect.signature(merge).parameters}
-            value = merge(**own)
+            merge = load()
+            value = merge(**{each: given.pop(each) for each in inspect.signature(merge).parameters if each in given})
             return command(**given) if name is None else command(**{name: value}, **given)
 
         decorated: Command = together(*options)(with_one)
@@ -357,7 +342,7 @@ incident_options = together(
         metavar="M/S²",
         help="Least deceleration that a near miss by its time to collision requires.",
     ),
-    gathered("wanted", lambda: import_module("carla_recap.queries.incidents").IncidentOptions),
+    merged("wanted", lambda: import_module("carla_recap.queries.incidents").IncidentOptions),
 )
 """The options that say which incidents to find, as an `IncidentOptions`."""
 
@@ -400,7 +385,7 @@ def _use_models(models: str | None) -> None:
 
 
 models = merged(
-    None, _use_models, path("--models", metavar="DIR", help="Your own models, such as vehicle.tesla.model3.glb.")
+    None, lambda: _use_models, path("--models", metavar="DIR", help="Your own models, such as vehicle.tesla.model3.glb.")
 )
 """The option for models of one's own, which are in use while a command runs that does not take them."""
 
@@ -417,7 +402,7 @@ def rig(text: str, *, is_required: bool = False) -> Any:
     """Return the options for a rig, which a command takes as a `SensorRig`, or None."""
     file = path("--rig", required=is_required, help=text)
     as_leaderboard = flag("--leaderboard", help="Give its sensors the values that the CARLA Leaderboard fixes.")
-    return merged("rig", _load_rig, file, as_leaderboard)
+    return merged("rig", lambda: _load_rig, file, as_leaderboard)
 
 
 carrier = option("--actor", type=FOLLOW, default="hero", metavar="ID|hero", help="The actor that carries the rig.")
@@ -463,7 +448,7 @@ def _foxglove_port(foxglove: bool, foxglove_port: int | None) -> int | None:
 
 foxglove = merged(
     "foxglove_port",
-    _foxglove_port,
+    lambda: _foxglove_port,
     flag("--foxglove", help="Let Foxglove connect to a WebSocket instead of opening Rerun's viewer."),
     option("--foxglove-port", type=PORT, metavar="N", help="The port of that WebSocket, 0 for any free one; else 8765."),
 )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import IncidentOptions, Incidents
 
 _sources = options.together(options.sources, options.json, options.text)
-_many = options.together(options.jobs, options.dask, options.gathered("request", lambda: QueryRequest))
+_many = options.together(options.jobs, options.dask, options.merged("request", lambda: QueryRequest))
 _report = options.together(_sources, options.compat)
 
 

@@ -151,5 +151,5 @@ def _say(written: WrittenFile) -> None:
     wrote(written.path, *written.notes, frames=written.frames, seconds=written.seconds, size=written.size, **written.facts)
 
 
-writes = options.together(_options, options.gathered("request", lambda: WriteRequest))
+writes = options.together(_options, options.merged("request", lambda: WriteRequest))
 """The arguments and options of commands that write a file for each recording, as a `WriteRequest`."""
