@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,17 +69,14 @@ def started(path: Path, port: int, *options: str, before: str = "") -> Iterator[
 @pytest.fixture
 def capturing(port: int, world: carla.World, tmp_path: Path) -> Iterator[Callable[..., Capture]]:
     """Start a capture of a world with a hero; the sensor of the capture shows that it runs."""
-    running = []
 
     def begin(name: str, *options: str) -> Capture:
-        running.append(started(tmp_path / name, port, *options))
-        capture = running[-1].__enter__()
+        capture = stack.enter_context(started(tmp_path / name, port, *options))
         wait_for(world, lambda: own_sensors(world))
         return capture
 
-    yield begin
-    for each in running:
-        each.__exit__(None, None, None)
+    with ExitStack() as stack:
+        yield begin
 
 
 def settle(process: subprocess.Popen[str]) -> None:
@@ -116,10 +113,3 @@ def wait_for(world: carla.World, condition: Callable[[], object]) -> None:
 
 def own_sensors(world: carla.World) -> list[carla.Actor]:
     return [actor for actor in world.get_actors().filter("sensor.*") if actor.attributes["role_name"] == "carla-recap"]
-
-
-def spawn(world: carla.World, blueprint: str, index: int, **attributes: str) -> carla.Actor:
-    described = world.get_blueprint_library().find(blueprint)
-    for key, value in attributes.items():
-        described.set_attribute(key, value)
-    return world.spawn_actor(described, world.get_map().get_spawn_points()[index])

@@ -9,11 +9,13 @@ import carla
 import numpy as np
 import pytest
 
-from carla_recap import RecapError, open_recording
+from carla_recap import RecapError, RecapWarning, open_recording
+from carla_recap.capture.actors import ActorTracker
 from carla_recap.capture.observer import Observation
 from carla_recap.capture.recording import capture, frames, header_of
-from tests.capture.conftest import own_sensors, settle, spawn, started, wait_for
+from tests.capture.conftest import own_sensors, settle, started, wait_for
 from tests.cli.command import error
+from tests.server.client import ahead, place, sensor, spawn
 from tests.waiting import wait_until
 
 if TYPE_CHECKING:
@@ -32,12 +34,10 @@ STATES = ("transforms", "velocities", "vehicle_controls", "walker_controls", "ve
 def drive(client: carla.Client, world: carla.World, capture: Capture) -> str:
     """Record a hero that hits a parked van, actors that come and go, a walker, lights that change; return the recording."""
     hero = next(actor for actor in world.get_actors() if actor.attributes.get("role_name") == "hero")
-    ahead = hero.get_transform()
-    ahead.location += 15.0 * ahead.get_forward_vector()
-    library = world.get_blueprint_library()
-    van = world.spawn_actor(library.find("vehicle.volkswagen.t2"), ahead)
-    ahead.location += 10.0 * ahead.get_right_vector()
-    walker = world.spawn_actor(library.find("walker.pedestrian.0001"), ahead)
+    there = ahead(hero.get_transform(), 15.0)
+    van = place(world, "vehicle.volkswagen.t2", there)
+    there.location += 10.0 * there.get_right_vector()
+    walker = place(world, "walker.pedestrian.0001", there)
     world.tick()
     van.apply_control(carla.VehicleControl(hand_brake=True))
     van.set_light_state(carla.VehicleLightState(carla.VehicleLightState.Brake | carla.VehicleLightState.Position))
@@ -50,11 +50,9 @@ def drive(client: carla.Client, world: carla.World, capture: Capture) -> str:
     late = None
     for tick in range(80):
         if tick == 20:
-            late = spawn(world, "vehicle.audi.tt", 7)
-            camera = world.get_blueprint_library().find("sensor.other.imu")
-            world.spawn_actor(
-                camera, carla.Transform(carla.Location(1.0, 0.5, 2.0), carla.Rotation(yaw=30.0)), attach_to=late
-            )
+            late = place(world, "vehicle.audi.tt", world.get_map().get_spawn_points()[7])
+            mount = carla.Transform(carla.Location(1.0, 0.5, 2.0), carla.Rotation(yaw=30.0))
+            sensor(world, "other.imu", late, mount)
         if tick == 60 and late is not None:
             late.destroy()
         world.tick()
@@ -65,8 +63,7 @@ def drive(client: carla.Client, world: carla.World, capture: Capture) -> str:
 def test_a_capture_equals_the_recording_of_the_server(
     client: carla.Client, world: carla.World, capturing: Capturing
 ) -> None:
-    spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
-    world.tick()
+    spawn(world, role_name="hero")
     capture = capturing("captured.mcap", "--additional-data")
     path = drive(client, world, capture)
     own = {actor.id for actor in own_sensors(world)}
@@ -125,7 +122,7 @@ def assert_near(ours: Any, theirs: Any) -> None:
 def test_the_first_frame_contains_all_data_of_present_actors(
     client: carla.Client, world: carla.World, capturing: Capturing
 ) -> None:
-    hero = spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
+    hero = spawn(world, role_name="hero")
     world.set_weather(carla.WeatherParameters.HardRainNoon)
     world.tick()
     capture = capturing("captured.mcap", "--additional-data")
@@ -157,10 +154,25 @@ def test_a_missing_server_is_an_error() -> None:
     assert error("capture", "a.mcap", "--port", 1, "--host", "a..b") == "a..b:1: there is no CARLA server"
 
 
-@pytest.mark.parametrize("name", ["Carla/Maps/Town01", "Town01", "/Game/Carla/Maps/Town01"])
-def test_the_name_of_the_map_has_no_folder(name: str) -> None:
-    observer: Any = SimpleNamespace(map=SimpleNamespace(name=name))
+def test_the_name_of_the_map_has_no_folder() -> None:
+    observer: Any = SimpleNamespace(map=SimpleNamespace(name="Carla/Maps/Town01"))
     assert header_of(observer).map_name == "Town01"
+
+
+def test_an_actor_that_the_client_cannot_read_is_left_out() -> None:
+    """CARLA's client raises a ValueError for attributes such as the color '256,0,0'."""
+
+    class Listed(list[Any]):
+        def __getitem__(self, index: Any) -> Any:
+            return super().__getitem__(index) or int("256,0,0")
+
+    sound = SimpleNamespace(id=501, type_id="vehicle.tesla.model3", attributes={"role_name": "hero"})
+    world: Any = SimpleNamespace(get_blueprint_library=list, get_actors=lambda _: Listed([None, sound]))
+    tracker = ActorTracker(world, additional_data=False)
+    snapshots: Any = {500: None, 501: None}
+    with pytest.warns(RecapWarning, match="cannot make out are left out: 500$"):
+        assert tracker.update(snapshots) == ([sound], [])
+    assert (tracker.present, tracker.heroes) == ({500, 501}, {501})
 
 
 def test_frames_last_until_the_next_one() -> None:
