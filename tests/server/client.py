@@ -7,7 +7,7 @@ import queue
 import socket
 import subprocess
 import time
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import carla
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
+MODEL: Final = "vehicle.lincoln.mkz" if hasattr(carla.World, "is_weather_enabled") else "vehicle.tesla.model3"
+"""The usual car; the client of 0.10 has others."""
 SYNCHRONOUS: Final = carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
 FAR: Final = carla.Transform(carla.Location(500.0, 500.0, 0.5))
 """A transform without actors or lanes nearby."""
@@ -36,20 +38,24 @@ def connect(port: int, folder: Path | None = None) -> carla.Client:
 
 
 @contextmanager
-def serving(
-    *options: object, through: Sequence[str] = (), **environment: str
-) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """Run `carla-recap serve`, if need be by another command, at a free port; kill it at the end of the block.
+def running(*command: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Run a command that starts a server; kill it at the end of the block.
 
     Yields the process, with its standard output and errors as pipes, and the port for calls.
     """
-    command, pipe = [*through, COMMAND, "serve", "--port=0", *map(str, options)], subprocess.PIPE
-    variables = ENVIRONMENT | environment
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=variables) as process:
+    words, pipe, variables = list(map(str, command)), subprocess.PIPE, ENVIRONMENT | environment
+    with subprocess.Popen(words, stdout=pipe, stderr=pipe, text=True, env=variables) as process:
         try:
             yield process, port_of(process)
         finally:
             process.kill()
+
+
+def serving(
+    *options: object, through: Sequence[str] = (), **environment: str
+) -> AbstractContextManager[tuple[subprocess.Popen[str], int]]:
+    """Run `carla-recap serve`, if need be by another command, at a free port."""
+    return running(*through, COMMAND, "serve", "--port=0", *options, **environment)
 
 
 def port_of(process: subprocess.Popen[str]) -> int:
@@ -83,9 +89,7 @@ def place(
     return world.spawn_actor(blueprint, at, attach_to=parent)
 
 
-def spawn(
-    world: carla.World, name: str = "vehicle.tesla.model3", at: carla.Transform | None = None, **attributes: str
-) -> carla.Actor:
+def spawn(world: carla.World, name: str = MODEL, at: carla.Transform | None = None, **attributes: str) -> carla.Actor:
     """Spawn an actor, by default at the first spawn point, and tick: it has its transform then."""
     actor = place(world, name, at or world.get_map().get_spawn_points()[0], **attributes)
     world.tick()

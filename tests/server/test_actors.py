@@ -69,11 +69,6 @@ def test_an_actor_that_is_destroyed_before_a_tick_is_known(inside: Inside) -> No
         inside.call("get_actor_bounding_box", 99999)
 
 
-def test_repeated_ids_give_one_record(inside: Inside) -> None:
-    id = inside.world.spectator.id
-    assert [record[0] for record in inside.call("get_actors_by_id", [id, 99999, id])] == [id]
-
-
 def test_a_constant_velocity_is_kept_in_the_axes_of_the_vehicle(world: carla.World) -> None:
     car = spawn(world, at=carla.Transform(FAR.location, carla.Rotation(yaw=90.0)))
     car.enable_constant_velocity(carla.Vector3D(10.0, 0.0, 0.0))
@@ -101,22 +96,6 @@ def test_impulses_and_forces_push_and_turn(inside: Inside, parked: Vehicle) -> N
     assert rows.turning[rows.row(parked.id)] == pytest.approx(3.0)
 
 
-PUSHES: dict[str, Any] = {
-    "set_actor_target_velocity": [[3e6, 0.0, 0.0]],
-    "set_actor_target_angular_velocity": [[0.0, 0.0, 3e6]],
-    "add_actor_impulse_at_location": [[3e6, 0.0, 0.0], [0.0, 0.0, 0.0]],
-}
-
-
-@pytest.mark.parametrize("name", PUSHES)
-def test_a_walker_has_no_body_to_be_pushed(inside: Inside, name: str) -> None:
-    walker = inside.world.place("walker.pedestrian.0001", inside.world.town.spawn_points[5])
-    inside.call(name, walker.id, *PUSHES[name])
-    inside.host.tick()
-    assert walker.velocity.length() == 0.0
-    walker.destroy()
-
-
 def test_a_push_that_is_refused_leaves_nothing(inside: Inside, parked: Vehicle) -> None:
     at = parked.transform.location
     with pytest.raises(RecapError, match="at most"):
@@ -137,26 +116,24 @@ def test_the_dead_neither_walk_nor_drive(inside: Inside) -> None:
     assert car.control.brake == 1.0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, 3e38])
+@pytest.mark.parametrize("bad", [math.nan, 3e38])
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("set_actor_transform", lambda n: [[[n, 0.0, 0.0], [0.0, 0.0, 0.0]]]),
         ("set_actor_transform", lambda n: [[[0.0, 0.0, 0.0], [0.0, n, 0.0]]]),
         ("set_actor_location", lambda n: [[0.0, 0.0, n]]),
-        ("set_actor_target_velocity", lambda n: [[0.0, 0.0, n]]),
         ("set_actor_target_angular_velocity", lambda n: [[0.0, 0.0, n]]),
         ("enable_actor_constant_velocity", lambda n: [[n, 0.0, 0.0]]),
-        ("add_actor_impulse", lambda n: [[n, 0.0, 0.0]]),
-        ("add_actor_force", lambda n: [[n, 0.0, 0.0]]),
         ("add_actor_impulse_at_location", lambda n: [[1.0, 0.0, 0.0], [0.0, n, 0.0]]),
         ("add_actor_force_at_location", lambda n: [[1.0, 0.0, 0.0], [0.0, n, 0.0]]),
         ("add_actor_angular_impulse", lambda n: [[0.0, 0.0, n]]),
         ("add_actor_torque", lambda n: [[0.0, 0.0, n]]),
         ("apply_control_to_walker", lambda n: [[[1.0, 0.0, 0.0], n, False]]),
-        ("apply_control_to_walker", lambda n: [[[n, 0.0, 0.0], 1.0, False]]),
         ("cast_ray", lambda n: [[0.0, 0.0, 0.0], [n, 0.0, 0.0]]),
         ("project_point", lambda n: [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], n]),
+        ("apply_control_to_vehicle", lambda _: [[0.0, math.nan, 0.0, False, False, False, 0]]),
+        ("apply_ackermann_control_to_vehicle", lambda _: [[0.0, 0.0, math.nan, 0.0, 0.0]]),
+        ("enable_actor_constant_velocity", lambda _: [[9000.0, 9000.0, 0.0]]),
     ],
 )
 def test_numbers_that_are_none_or_too_large_are_refused(
@@ -297,13 +274,6 @@ def test_a_bad_value_is_refused(name: str, key: str, value: str) -> None:
 @pytest.mark.parametrize(("name", "key", "value"), GOOD)
 def test_a_good_value_is_none_of_the_bad_ones(name: str, key: str, value: str) -> None:
     check_attributes(standard_library().get(name), {key: value})
-
-
-def test_the_blueprints_are_good() -> None:
-    library = standard_library()
-    for blueprint in library:
-        for key, value in [*blueprint.attributes.items(), *((k, v) for k, vs in blueprint.choices.items() for v in vs)]:
-            check_attributes(library.get(blueprint.id), {key: value})
 
 
 def test_each_way_of_spawning_refuses_it(inside: Inside) -> None:

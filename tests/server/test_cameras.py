@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -151,25 +152,15 @@ def test_the_world_is_loaded_anew_while_images_are_drawn(world: carla.World, cli
     assert Tag.ROADS in pixels(of_frame(semantic, world.tick()))[..., 0]
 
 
-def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
-    with serving() as (process, port):
-        client = connect(port)
-        world = client.get_world()
-        rgb = Data(sensor(world, "camera.rgb", vehicle(world), EYE, image_size_x="1920", image_size_y="1080"))
-        rgb.get(timeout=PATIENCE)
-        children = psutil.Process(process.pid).children(recursive=True)
-        process.terminate()
-        assert process.wait(PATIENCE) == 0
-    assert children
-    assert not psutil.wait_procs(children, PATIENCE)[1]
-
-
-def test_a_server_that_is_killed_while_a_camera_loads_its_town_leaves_no_process() -> None:
-    with serving(CARLA_RECAP_CACHE="") as (process, port):
+@pytest.mark.parametrize("draws", [True, False], ids=["ends while images are drawn", "is killed while a town is loaded"])
+def test_a_server_leaves_no_process(draws: bool) -> None:
+    with serving(**({} if draws else {"CARLA_RECAP_CACHE": ""})) as (process, port):
         world = connect(port).get_world()
-        sensor(world, "camera.rgb", vehicle(world), EYE)
+        camera = sensor(world, "camera.rgb", vehicle(world), EYE, image_size_x="1920", image_size_y="1080")
+        if draws:
+            Data(camera).get(timeout=PATIENCE)
         children = psutil.Process(process.pid).children(recursive=True)
-        process.kill()
-        process.wait(PATIENCE)
+        process.send_signal(signal.SIGTERM if draws else signal.SIGKILL)
+        assert process.wait(PATIENCE) == (0 if draws else -signal.SIGKILL)
     assert children
     assert not psutil.wait_procs(children, PATIENCE)[1]

@@ -30,9 +30,9 @@ QUICK = 1.0  # s
 def server(recordings: Path) -> Iterator[tuple[int, Path]]:
     """A server's port, and what the system tells of its process; it must say nothing on stderr, and end in peace.
 
-    It can have 200 connections: of the files that it may open, 100 are for other things.
+    It can have 40 connections: of the files that it may open, 100 are for other things.
     """
-    with serving("--recordings", recordings, through=("bash", "-c", 'ulimit -n 300; exec "$@"', "-")) as (process, port):
+    with serving("--recordings", recordings, through=("bash", "-c", 'ulimit -n 140; exec "$@"', "-")) as (process, port):
         yield port, Path("/proc", str(process.pid))
         process.terminate()
         _, said = process.communicate(timeout=PATIENCE)
@@ -116,11 +116,7 @@ def ticks_quickly(world: carla.World) -> None:
         (0, b"\xc1"),
         (0, b"GET / HTTP/1.1\r\n\r\n"),
         (0, b"\xdd\xff\xff\xff\xff"),
-        (0, b"\x91" * 10_000),
         (0, b"\xdc\x3f\xff" * 1100),
-        (0, b"\x81\x01\x02"),
-        (0, b"\xc7\x01\x02\x03"),
-        (0, msgpack.packb([0, 1])),
         (0, msgpack.packb([0, 1, "version", []])),
         (0, msgpack.packb([1, 1, None, None])),
         (0, bytes(range(256)) * 100),
@@ -170,16 +166,6 @@ def test_endless_calls_leave_time_for_other_clients(world: carla.World, port: in
             ticks_quickly(world)
 
 
-def test_a_stalled_subscriber_delays_no_tick(world: carla.World, port: int) -> None:
-    connections = [socket_to(port + 1) for _ in range(50)]
-    for connection in connections:
-        connection.sendall(struct.pack("<I", 1))
-    for _ in range(500):
-        ticks_quickly(world)
-    for connection in connections:
-        connection.close()
-
-
 def test_wrong_types_are_errors_of_every_call(world: carla.World, port: int) -> None:
     from carla_recap.server.rpc.registry import CALLS
 
@@ -195,7 +181,7 @@ def test_wrong_types_are_errors_of_every_call(world: carla.World, port: int) -> 
 
 def test_silent_connections_are_closed_for_new_ones(world: carla.World, port: int) -> None:
     with ExitStack() as stack:
-        for _ in range(220):
+        for _ in range(50):
             stack.enter_context(closing(socket_to(port)))
         client = connect(port)
         assert client.get_server_version() == "0.9.16"
@@ -204,17 +190,10 @@ def test_silent_connections_are_closed_for_new_ones(world: carla.World, port: in
 
 def test_a_connection_too_many_is_refused_with_an_error(world: carla.World, port: int) -> None:
     with ExitStack() as stack:
-        replies = [ask(stack.enter_context(closing(socket_to(port))), *VERSION) for _ in range(205)]
+        replies = [ask(stack.enter_context(closing(socket_to(port))), *VERSION) for _ in range(45)]
         assert replies[0] == [1, 1, None, [[1, "0.9.16"]]]
-        assert replies[-1] == [1, 1, None, [[0, ["the server has 200 connections, which is as many as it can have"]]]]
+        assert replies[-1] == [1, 1, None, [[0, ["the server has 40 connections, which is as many as it can have"]]]]
         ticks_quickly(world)
-
-
-def test_a_client_can_leave_during_a_call(world: carla.World, port: int) -> None:
-    for call in (["get_map_data", [False]], ["show_recorder_file_info", [False], "nothing", True]):
-        with closing(socket_to(port)) as connection:
-            connection.sendall(msgpack.packb([0, 1, call[0], call[1:]]))
-    ticks_quickly(world)
 
 
 def test_a_message_buffer_returns_calls_in_whatever_pieces_they_arrive() -> None:

@@ -20,19 +20,7 @@ SCRIPT = SAMPLES / "leaderboard.sh"
 PEER = Path(__file__).parents[3] / "shared" / "peer"
 FOLDERS = {"LEADERBOARD_ROOT": "leaderboard", "SCENARIO_RUNNER_ROOT": "scenario_runner", "CARLA_ROOT": "carla"}
 ROOTS = {name: Path(os.environ.get(name, PEER / folder)) for name, folder in FOLDERS.items()}
-MODULES = (
-    "py_trees",
-    "dictor",
-    "shapely",
-    "networkx",
-    "pygame",
-    "tabulate",
-    "pexpect",
-    "ephem",
-    "cv2",
-    "transforms3d",
-    "six",
-)
+MODULES = "py_trees dictor shapely networkx pygame tabulate pexpect ephem cv2 transforms3d six".split()  # noqa: SIM905
 MISSING = [str(root) for root in ROOTS.values() if not root.is_dir()] + [
     name for name in MODULES if importlib.util.find_spec(name) is None
 ]

@@ -18,7 +18,6 @@ from carla_recap.server.host import Host
 from carla_recap.server.maps import Maps
 from carla_recap.server.rpc.registry import CALLS, CallError
 from carla_recap.server.serving import serve
-from carla_recap.sim.town import loading
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.server.client import connect
@@ -159,33 +158,6 @@ async def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeyp
         may_load.set()
         assert await loading == [1, 1, None, [[False]]]
         assert (await reply(other, "get_map_info"))[3][0][1][0] == "Carla/Maps/Town10HD"
-
-
-async def test_the_server_answers_while_a_replay_loads_a_map(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    may_parse = Event()
-    make = loading.make_town
-
-    def slow(*arguments: Any) -> Town:
-        assert may_parse.wait(PATIENCE)
-        return make(*arguments)
-
-    host = Host(World("Town10HD", maps=folder, recordings=tmp_path))
-    host.world.start_recorder("other.log")
-    host.world.tick()
-    host.world.reload("Brickfield")
-    host.world.stop_recorder()
-    loading._towns.clear()
-    monkeypatch.setattr(loading, "make_town", slow)
-    async with connections(host, 2) as (one, other):
-        replaying = asyncio.create_task(reply(one, "replay_file", "other.log", 0.0, 0.0, 0))
-        assert (await reply(other, "version"))[2] is None
-        await asyncio.sleep(0.2)
-        assert (await reply(other, "version"))[2] is None
-        assert not replaying.done()
-        may_parse.set()
-        assert "Loading map Town10HD" in (await replaying)[3][0][1]
 
 
 def test_a_town_without_a_navigation_mesh_is_served(

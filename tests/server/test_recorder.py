@@ -14,8 +14,7 @@ import carla
 import pytest
 
 import carla_recap
-from carla_recap.errors import Closed, RecapError, RecapWarning
-from carla_recap.formats import open_reader
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.queries.info import info
 from carla_recap.server import host as serving_host
 from carla_recap.server import recordings as served
@@ -27,19 +26,28 @@ from carla_recap.sim import World, load_town
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.replaying import replayer
+from carla_recap.sim.town import loading
 from carla_recap.sim.traffic import populate
 from tests.samples import CARLA_LOGS
-from tests.server.client import connect, ticks
+from tests.server.client import ticks
 from tests.server.inside import Inside, client_inside
 from tests.sim.recordings import disk_of, frames, run_until_it_fails
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from types import ModuleType
 
 DELTA = 0.05
 CARS = {"vehicle.audi.tt", "vehicle.tesla.model3"}
 OTHER_MAP = "Otherfield"
-OFFSET = [[-10.0, 0.0, 5.0], [-25.0, 0.0, 0.0]]
+OFFSET = [[0.0, 0.0, 40.0], [-80.0, 0.0, 0.0]]
+QUERIES = (
+    ("show_recorder_file_info", False),
+    ("show_recorder_file_info", True),
+    ("show_recorder_collisions", ord("a"), ord("a")),
+    ("show_recorder_actors_blocked", 1.0, 100.0),
+)
+REPLAY = ("replay_file", 0.0, 0.0, 0)
 
 
 @pytest.fixture(scope="module")
@@ -67,27 +75,37 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def port(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """A server in UTC, which has another map."""
+def maps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with another map."""
     maps = tmp_path_factory.mktemp("maps")
     (maps / f"{OTHER_MAP}.xodr").write_text(load_town().opendrive)
+    return maps
+
+
+@pytest.fixture(scope="module")
+def port(recordings: Path, maps: Path) -> Iterator[int]:
+    """A server in UTC."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TZ", "UTC")
         with running(recordings=recordings, maps=maps) as port:
             yield port
 
 
-@pytest.fixture(autouse=True)
-def _as_at_first(client: carla.Client) -> Iterator[None]:
-    """Nothing of what a test sets stays."""
-    yield
-    client.set_replayer_time_factor(1.0)
-    client.set_replayer_ignore_hero(False)
-    client.set_replayer_ignore_spectator(True)
+@pytest.fixture
+def inside(recordings: Path, maps: Path) -> Iterator[Inside]:
+    """A client inside a server that has the recordings."""
+    inside = Inside(world=World(load_town(), recordings=recordings, maps=maps))
+    yield inside
+    inside.host.close()
 
 
-def vehicles(world: carla.World) -> dict[str, carla.Actor]:
-    return {actor.type_id: actor for actor in world.get_actors().filter("vehicle.*")}
+def answers(inside: Inside, name: str) -> list[str]:
+    """Return the answers to all queries about a recording."""
+    return [inside.call(query, name, *arguments) for query, *arguments in QUERIES]
+
+
+def hero_of(inside: Inside) -> Vehicle:
+    return next(vehicle for vehicle in inside.world.vehicles.actors if vehicle.type_id == "vehicle.tesla.model3")
 
 
 # --- recording -----------------------------------------------------------------------------------------------------------
@@ -125,34 +143,22 @@ def test_a_file_is_there_from_the_start_and_complete_without_another_call(client
         assert len(frames(path)) == count
 
 
-def test_what_is_being_recorded_can_be_asked_about_later(client: carla.Client, world: carla.World, recordings: Path) -> None:
-    client.start_recorder("running")
-    world.tick()
-    for ask in queries_of("running"):
-        with pytest.raises(RuntimeError, match=r"running\.mcap is being recorded; .* after stop_recorder"):
-            ask(client)
-    assert "Duration" in client.show_recorder_file_info("drive", False)
-    client.stop_recorder()
-    assert "Frames: 1\n" in client.show_recorder_file_info("running", False)
+def test_what_is_being_recorded_can_be_asked_about_later(inside: Inside) -> None:
+    inside.call("start_recorder", "running", False)
+    inside.host.tick()
+    for query, *arguments in QUERIES:
+        with pytest.raises(RecapError, match=r"running\.mcap is being recorded; .* after stop_recorder"):
+            inside.call(query, "running", *arguments)
+    assert "Duration" in inside.call("show_recorder_file_info", "drive", False)
+    inside.call("stop_recorder")
+    assert "Frames: 1\n" in inside.call("show_recorder_file_info", "running", False)
 
 
 # --- queries -------------------------------------------------------------------------------------------------------------
 
 
-def queries_of(name: str) -> list[Callable[[carla.Client], str]]:
-    return [
-        lambda client: client.show_recorder_file_info(name, False),
-        lambda client: client.show_recorder_file_info(name, True),
-        lambda client: client.show_recorder_collisions(name, "a", "a"),
-        lambda client: client.show_recorder_actors_blocked(name, 1.0, 100.0),
-    ]
-
-
-def test_both_formats_answer_alike(client: carla.Client) -> None:
-    for of_mcap, of_log in zip(queries_of("drive"), queries_of("also.log"), strict=True):
-        answer = of_mcap(client)
-        assert answer == of_log(client)
-        assert "Map: Brickfield\nDate: 01/01/70 00:00:00\n\n" in answer
+def test_both_formats_answer_alike(inside: Inside) -> None:
+    assert answers(inside, "drive") == answers(inside, "also.log")
 
 
 @pytest.mark.skipif(
@@ -172,51 +178,46 @@ def test_the_answers_are_those_of_carla(client: carla.Client, name: str) -> None
         assert client.show_recorder_actors_blocked(path, time, distance) == answer
 
 
-def test_what_is_no_recording_has_carlas_texts(client: carla.Client, recordings: Path) -> None:
+def test_what_is_no_recording_has_carlas_texts(inside: Inside, recordings: Path) -> None:
     for name, found, text in (
         ("absent.log", "absent.log", f"File {recordings / 'absent.log'} not found on server\n"),
         ("text", "text.log", "File is not a CARLA recorder\n"),
     ):
-        for ask in queries_of(name):
-            assert ask(client) == text
-        assert client.replay_file(name, 0.0, 0.0, 0) == f"Replaying File: {recordings / found}\n{text}"
-    for ask in queries_of("long" * 100):
-        with pytest.raises(RuntimeError, match=r"cannot be read: .*File name too long"):
-            ask(client)
-    for name in ("/", "./", "a\0b"):
-        for ask in queries_of(name):
-            with pytest.raises(RuntimeError, match=r"^'[^']+': expected the name of a recording$"):
-                ask(client)
+        assert answers(inside, name) == [text] * len(QUERIES)
+        assert inside.call("replay_file", name, 0.0, 0.0, 0) == f"Replaying File: {recordings / found}\n{text}"
 
 
-def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, recordings: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("long" * 100, "cannot be read: .*File name too long"),
+        *((name, "^'[^']+': expected the name of a recording$") for name in ("/", "./", "a\0b")),
+        ("damaged.log", r"damaged\.log: byte \d+: "),
+    ],
+)
+def test_names_that_no_recording_has_and_damaged_ones_are_errors(
+    inside: Inside, recordings: Path, name: str, error: str
+) -> None:
     data = bytearray((recordings / "also.log").read_bytes())
     begin = 2 + 2 + len("CARLA_RECORDER") + 8 + 2 + len("Brickfield")
     data[begin + 1] -= 1  # the size of the first frame's start
     (recordings / "damaged.log").write_bytes(data)
-    with pytest.raises(RuntimeError, match=r"damaged\.log: byte \d+: "):
-        client.show_recorder_file_info("damaged.log", True)
-    with pytest.raises(RuntimeError, match=r"damaged\.log: byte \d+: "):
-        client.replay_file("damaged.log", 0.0, 0.0, 0)
+    for call, *arguments in (QUERIES[1], REPLAY):
+        with pytest.raises(RecapError, match=error):
+            inside.call(call, name, *arguments)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of other processes are Linux's")
-def test_a_recording_that_a_full_disk_has_ended_is_an_error_that_tells_where_it_is(tmp_path: Path) -> None:
-    inside = Inside()
+def test_a_recording_that_a_full_disk_has_ended_is_an_error_that_tells_where_it_is(inside: Inside, tmp_path: Path) -> None:
     populate(inside.world, 10, 0)
     path = inside.call("start_recorder", str(tmp_path / "full.mcap"), True)
     disk_is_full = r"full\.mcap: cannot be written: File too large; what was recorded until then is in (.*\.partial)"
     with disk_of(inside.world, 60_000), pytest.warns(RecapWarning, match=f"the recording has ended: .*{disk_is_full}"):
         run_until_it_fails(inside.world)
     inside.call("stop_recorder")
-    for name, arguments in (
-        ("show_recorder_file_info", (False,)),
-        ("show_recorder_collisions", (97, 97)),
-        ("show_recorder_actors_blocked", (1.0, 100.0)),
-        ("replay_file", (0.0, 0.0, 0)),
-    ):
+    for call, *arguments in (*QUERIES, REPLAY):
         with pytest.raises(RecapError, match=f"the recording has ended early: .*{disk_is_full}") as failure:
-            inside.call(name, path, *arguments)
+            inside.call(call, path, *arguments)
     (partial_file,) = tmp_path.iterdir()
     assert str(partial_file) in str(failure.value)
     inside.call("start_recorder", path, False)
@@ -231,9 +232,8 @@ def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytes
         asyncio.run(served.answer(recordings / "drive.mcap", partial(info, all=True, compat=True)))
 
 
-async def test_the_answers_of_a_client_are_made_one_by_one(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    inside, running_now, most = Inside(), 0, 0
-    inside.host.recordings._world.recordings = recordings
+async def test_the_answers_of_a_client_are_made_one_by_one(inside: Inside, monkeypatch: pytest.MonkeyPatch) -> None:
+    running_now, most = 0, 0
 
     async def answer(*_: object) -> str:
         nonlocal running_now, most
@@ -255,53 +255,46 @@ async def test_the_answers_of_a_client_are_made_one_by_one(recordings: Path, mon
 # --- replaying -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["drive", "also.log"])
-def test_a_replay_is_told_as_by_carla(client: carla.Client, recordings: Path, name: str) -> None:
-    path = recordings / ("drive.mcap" if name == "drive" else name)
+def test_a_replay_is_told_as_by_carla(inside: Inside, recordings: Path) -> None:
     total = f"{4 - DELTA:g}"
-    assert client.replay_file(name, 0.0, 0.0, 0) == (
-        f"Replaying File: {path}\n"
+    assert inside.call("replay_file", "drive", 0.0, 0.0, 0) == (
+        f"Replaying File: {recordings / 'drive.mcap'}\n"
         f"Total time recorded: {total}\n"
         f"Replaying from 0 s - {total} s ({total} s) at 1.0x\n"
         "Ignoring Spectator camera\n"
     )
-    client.set_replayer_time_factor(2.5)
-    client.set_replayer_ignore_hero(True)
-    client.set_replayer_ignore_spectator(False)
-    assert client.replay_file(name, -3.0, 10.0, 0) == (
-        f"Replaying File: {path}\n"
+    inside.call("set_replayer_time_factor", 2.5)
+    inside.call("set_replayer_ignore_hero", True)
+    inside.call("set_replayer_ignore_spectator", False)
+    assert inside.call("replay_file", "also.log", -3.0, 10.0, 0) == (
+        f"Replaying File: {recordings / 'also.log'}\n"
         f"Total time recorded: {total}\n"
         f"Replaying from 0.95 s - 10.95 s ({total} s) at 2.5x\n"
         "Ignoring Hero vehicle\n"
     )
 
 
-def test_a_recording_of_an_unknown_map_replays_on_its_corridors(client: carla.Client, world: carla.World) -> None:
-    before = world.get_map().name
-    answer = client.replay_file("nowhere", 0.0, 0.0, 0).splitlines()
+def test_a_recording_of_an_unknown_map_replays_on_its_corridors(inside: Inside) -> None:
+    with pytest.warns(RecapWarning, match="there is no map 'Town42'"):
+        answer = inside.call("replay_file", "nowhere", 0.0, 0.0, 0).splitlines()
     assert answer[1] == "Loading map Carla/Maps/Town42"
     assert "There is no map Carla/Maps/Town42: the corridors that the vehicles have driven are its roads" in answer
-    there = client.get_world()
-    assert there.get_map().name.endswith("Town42")
-    assert len(there.get_map().generate_waypoints(5.0)) > 2
-    client.load_world(before)
+    assert inside.call("get_map_info")[0] == "Carla/Maps/Town42"
 
 
-def test_a_replay_from_beyond_the_end_is_told_as_by_carla(recordings: Path) -> None:
-    inside = Inside()
+def test_a_replay_from_beyond_the_end_is_told_as_by_carla(inside: Inside) -> None:
     with pytest.warns(RecapWarning, match=r"drive\.mcap: the replay starts at its end, 3\.95 s, instead of 99 s"):
-        answer = inside.call("replay_file", str(recordings / "drive.mcap"), 99.0, 0.0, 0)
+        answer = inside.call("replay_file", "drive", 99.0, 0.0, 0)
     assert "Replaying from 99 s - 3.95 s (3.95 s) at 1.0x\n" in answer
     assert {vehicle.type_id for vehicle in inside.world.vehicles.actors} == CARS
     inside.world.tick()
     assert not inside.world.replayer.is_playing
 
 
-def test_a_replay_that_follows_a_missing_actor_runs_without_following(recordings: Path) -> None:
-    inside = Inside()
+def test_a_replay_that_follows_a_missing_actor_runs_without_following(inside: Inside) -> None:
     before = inside.world.spectator.transform
     with pytest.warns(RecapWarning, match="follows no actor: .* no actor 4242 to follow; known ids are"):
-        answer = inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 4242)
+        answer = inside.call("replay_file", "drive", 0.0, 0.0, 4242)
     assert "Replaying from 0 s - 3.95 s" in answer
     inside.world.tick()
     assert inside.world.replayer.is_playing
@@ -309,13 +302,12 @@ def test_a_replay_that_follows_a_missing_actor_runs_without_following(recordings
 
 
 @pytest.mark.parametrize("how", ["autopilot", "control", "batch", "ackermann"])
-def test_a_client_takes_over_a_vehicle_after_a_replay(recordings: Path, how: str) -> None:
-    inside = Inside()
-    inside.world.replay_file(recordings / "drive.mcap", start=2.0)
+def test_a_client_takes_over_a_vehicle_after_a_replay(inside: Inside, how: str) -> None:
+    inside.world.replay_file("drive", start=2.0)
     inside.world.run(0.5)
     inside.call("stop_replayer", True)
     inside.world.run(0.1)
-    hero = next(vehicle for vehicle in inside.world.vehicles.actors if vehicle.type_id == "vehicle.tesla.model3")
+    hero = hero_of(inside)
     assert hero.autopilot
     brake = [0.0, 0.0, 1.0, False, False, False, 0]
     if how == "autopilot":
@@ -332,11 +324,10 @@ def test_a_client_takes_over_a_vehicle_after_a_replay(recordings: Path, how: str
 
 
 def test_that_a_client_cannot_drive_a_replayed_vehicle_is_logged_once(
-    recordings: Path, caplog: pytest.LogCaptureFixture
+    inside: Inside, caplog: pytest.LogCaptureFixture
 ) -> None:
-    inside = Inside()
     for number in range(2):
-        inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0)
+        inside.call("replay_file", "drive", 0.0, 0.0, 0)
         for vehicle in list(inside.world.vehicles.actors):
             inside.call("set_actor_autopilot", vehicle.id, True)
             inside.call("apply_control_to_vehicle", vehicle.id, [0.0, 0.0, 1.0, False, False, False, 0])
@@ -344,30 +335,15 @@ def test_that_a_client_cannot_drive_a_replayed_vehicle_is_logged_once(
 
 
 def test_that_a_recording_ends_another_or_a_replay_is_logged(
-    recordings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    inside: Inside, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    inside = Inside()
     inside.call("start_recorder", str(tmp_path / "first.log"))
     assert not caplog.records
     inside.call("start_recorder", str(tmp_path / "second.log"))
     assert re.search(r"the recording of \S+first\.log ends, since \S+second\.log begins", caplog.text)
-    inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0)
+    inside.call("replay_file", "drive", 0.0, 0.0, 0)
     inside.call("start_recorder", str(tmp_path / "third.log"))
     assert re.search(r"the replay of \S+drive\.mcap ends", caplog.text)
-    inside.world.close()
-
-
-def test_the_spectator_follows_at_an_offset(client: carla.Client, world: carla.World) -> None:
-    (id,) = re.findall(r"Create (\d+): vehicle\.tesla", client.show_recorder_file_info("drive", False))
-    offsets = (carla.Transform(carla.Location(-10, 0, 5), carla.Rotation(pitch=-25)), carla.Transform(carla.Location(z=40)))
-    for offset in offsets:
-        arguments = () if offset is offsets[0] else (False, offset)
-        client.replay_file("drive", 0.0, 0.0, int(id), *arguments)
-        ticks(world, 10)
-        car, camera = vehicles(world)["vehicle.tesla.model3"].get_transform(), world.get_spectator().get_transform()
-        expected = carla.Transform(car.location, carla.Rotation(yaw=car.rotation.yaw)).transform(offset.location)
-        assert camera.location.distance(expected) < 0.01
-        assert camera.rotation.pitch == pytest.approx(offset.rotation.pitch, abs=1e-3)
 
 
 def test_a_recording_of_another_map_begins_an_episode(
@@ -395,35 +371,29 @@ def test_a_recording_of_another_map_begins_an_episode(
 @pytest.mark.parametrize(
     "options", [(), (False,), (False, OFFSET), (False, OFFSET, ""), (False, True, OFFSET, ""), (False, False, OFFSET)]
 )
-def test_the_options_of_older_and_newer_clients_are_accepted(recordings: Path, options: tuple[object, ...]) -> None:
-    inside = Inside()
+def test_the_options_of_older_and_newer_clients_are_accepted(inside: Inside, options: tuple[object, ...]) -> None:
     inside.world.weather = replace(inside.world.weather, cloudiness=77.0)
-    answer = inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0, *options)
+    (id,) = re.findall(r"Create (\d+): vehicle\.tesla", inside.call("show_recorder_file_info", "drive", False))
+    answer = inside.call("replay_file", "drive", 0.0, 0.0, int(id), *options)
     assert "Total time recorded: 3.95\n" in answer
     assert inside.world.weather.cloudiness == (77.0 if options[:2] == (False, False) else 0.0)
+    inside.host.tick()
+    camera, car = inside.world.spectator.transform, hero_of(inside).transform
+    assert (camera.rotation.pitch == pytest.approx(-80.0)) == (OFFSET in options)
+    assert (camera.location.distance(car.location) == pytest.approx(40.0, abs=0.01)) == (OFFSET in options)
 
 
-def test_a_newer_client_can_name_the_map_of_a_replay_and_other_options_are_errors(recordings: Path) -> None:
-    inside = Inside()
-    answer = inside.call("replay_file", str(recordings / "nowhere.log"), 0.0, 0.0, 0, False, True, OFFSET, "Brickfield")
+def test_a_newer_client_can_name_the_map_of_a_replay_and_other_options_are_errors(inside: Inside) -> None:
+    answer = inside.call("replay_file", "nowhere", 0.0, 0.0, 0, False, True, OFFSET, "Brickfield")
     assert "Total time recorded: 0\n" in answer
     for options in ((1,), ("Brickfield", "Brickfield"), (True, True, True), ({},), (OFFSET, OFFSET)):
         with pytest.raises(RecapError, match="replay_file"):
-            inside.call("replay_file", str(recordings / "drive.mcap"), 0.0, 0.0, 0, *options)
+            inside.call("replay_file", "drive", 0.0, 0.0, 0, *options)
 
 
-def test_the_layered_variant_of_the_present_map_is_the_present_map(recordings: Path) -> None:
-    host = Host(World(load_town(called="Town05")), stand_in=True)
-    replay = [str(recordings / "drive.mcap"), 0.0, 0.0, 0, False, True, OFFSET, "Town05_Opt"]
-    assert "Loading map" not in asyncio.run(CALLS["replay_file"](client_inside(host), replay))
-    assert host.world.episode.number == 1
-    host.close()
-
-
-def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(recordings: Path, tmp_path: Path) -> None:
-    inside = Inside()
+def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(inside: Inside, tmp_path: Path) -> None:
     for arguments, goes_on in (((False,), False), ((False, True), False), ((False, False), True)):
-        inside.world.replay_file(recordings / "drive.mcap")
+        inside.world.replay_file("drive")
         path = inside.call("start_recorder", str(tmp_path / "again.log"), *arguments)
         inside.world.tick()
         assert inside.world.replayer.is_playing == goes_on
@@ -454,46 +424,42 @@ class Blocked:
         self._others_served.set()
 
 
-def test_clients_are_served_while_a_replay_is_opened(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    host, opening = Host(World(load_town())), Blocked(replayer.open_reader)
-    monkeypatch.setattr(replayer, "open_reader", opening)
+@pytest.mark.parametrize(
+    ("call", "of", "slow"),
+    [
+        (("replay_file", "drive", 0.0, 0.0, 0), replayer, "open_reader"),
+        (("replay_file", "elsewhere", 0.0, 0.0, 0), loading, "make_town"),
+        (("start_recorder", "new.mcap", False), served, "start_process"),
+    ],
+    ids=["a recording is opened", "a map is loaded", "the process that writes starts"],
+)
+async def test_clients_are_served_meanwhile(
+    inside: Inside, monkeypatch: pytest.MonkeyPatch, call: tuple[Any, ...], of: ModuleType, slow: str
+) -> None:
+    monkeypatch.setattr(loading, "_towns", {})
+    blocked, (name, *arguments) = Blocked(getattr(of, slow)), call
+    monkeypatch.setattr(of, slow, blocked)
+    answer, _ = await asyncio.gather(CALLS[name](inside.client, arguments), blocked.serve_others(inside.host))
+    assert "Total time recorded" in answer or "new.mcap" in answer
 
-    async def run() -> str:
-        replay = CALLS["replay_file"](client_inside(host), [str(recordings / "drive.mcap"), 0.0, 0.0, 0])
-        answer: str
-        answer, _ = await asyncio.gather(replay, opening.serve_others(host))
-        return answer
 
-    assert "Total time recorded: 3.95\n" in asyncio.run(run())
-    assert host.world.replayer.is_playing
-    host.close()
-
-
-@pytest.mark.parametrize("stops", [False, True])
 async def test_clients_are_served_while_the_actors_of_a_replay_are_spawned(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch, stops: bool
+    recordings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serving_host, "_SLICE", 0.0)
     host = Host(World(load_town(called="Elsewhere")))
-    client, other = client_inside(host), client_inside(host)
     present: list[int] = []
     published: list[int] = []
     monkeypatch.setattr(host, "publish", lambda: published.append(len(host.world.vehicles)))
-    replay = asyncio.ensure_future(CALLS["replay_file"](client, [str(recordings / "drive.mcap"), 0.0, 0.0, 0]))
+    replay = asyncio.ensure_future(CALLS["replay_file"](client_inside(host), [str(recordings / "drive.mcap"), 0.0, 0.0, 0]))
     while not host.batches:
         await asyncio.sleep(0)
     while host.batches:
         present.append(len(host.world.vehicles))
-        if stops and present[-1] == 1:
-            CALLS["stop_replayer"](other, [False])
         await asyncio.sleep(0)
-    if stops:
-        with pytest.raises(RecapError, match="was stopped before it had begun"):
-            await replay
-    else:
-        assert "Total time recorded: 3.95\n" in await replay
-        assert {1, 2} <= set(present)
-    assert published == [0 if stops else 2]  # the first snapshot of the episode has all actors
+    assert "Total time recorded: 3.95\n" in await replay
+    assert {1, 2} <= set(present)
+    assert published == [2]  # the first snapshot of the episode has all actors
     host.close()
 
 
@@ -525,25 +491,6 @@ def test_clients_are_served_while_a_recording_is_completed(
     host.close()
 
 
-def test_a_recording_that_another_client_begins_while_a_map_is_loaded_is_completed_in_a_thread(tmp_path: Path) -> None:
-    host, threads = Host(World(load_town())), []
-
-    async def run() -> None:
-        await CALLS["start_recorder"](client := client_inside(host), [str(tmp_path / "ends.mcap"), False])
-        finish = host.world.recorder._finish
-        assert finish is not None
-        host.world.recorder._finish = lambda: threads.append(threading.current_thread()) or finish()
-        host.begin_episode(host.world.town, client)
-        await host.recordings.completed()
-
-    asyncio.run(run())
-    assert len(threads) == 1
-    assert threads[0] is not threading.main_thread()
-    with carla_recap.open_recording(tmp_path / "ends.mcap") as recording:
-        assert not list(recording)
-    host.close()
-
-
 def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_about(
     recordings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -568,54 +515,23 @@ def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_
     host.close()
 
 
-@pytest.mark.parametrize("step", ["maps.preload", "between_batches"])
-def test_a_replay_that_cannot_begin_leaves_no_file_open(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch, step: str
-) -> None:
-    host, opened = Host(World(load_town())), []
-
-    def note(*about: Any) -> Any:
-        opened.append(reader := open_reader(*about))
-        return reader
-
-    async def fail(*about: Any) -> None:
-        raise RecapError("no memory")
-
-    monkeypatch.setattr(replayer, "open_reader", note)
-    *owner, name = step.split(".")
-    monkeypatch.setattr(host.maps if owner else host, name, fail)
-
-    async def run() -> None:
-        await CALLS["replay_file"](client_inside(host), [str(recordings / "drive.mcap"), 0.0, 0.0, 0])
-
-    with pytest.raises(RecapError, match="no memory"):
-        asyncio.run(run())
-    with pytest.raises(Closed):
-        opened[0].check_open()
-    host.close()
-
-
 # --- confined ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def confined(recordings: Path) -> Iterator[carla.Client]:
-    with running(recordings=recordings, confine=True) as port:
-        client = connect(port)
-        yield client
+@pytest.fixture
+def confined(inside: Inside) -> Inside:
+    inside.host.recordings._confined = True
+    return inside
 
 
-def test_a_confined_server_serves_its_folder(confined: carla.Client, recordings: Path) -> None:
+def test_a_confined_server_serves_its_folder(confined: Inside, recordings: Path) -> None:
     for name in ("drive", "also.log", str(recordings / "drive.mcap")):
-        assert "Brickfield" in confined.show_recorder_file_info(name, False)
-        assert "Total time recorded" in confined.replay_file(name, 0.0, 0.0, 0)
-    assert confined.start_recorder(f"{recordings}/own.log") == str(recordings / "own.log")
-    confined.stop_recorder()
-    confined.get_server_version()
-    assert (recordings / "own.log").exists()
+        assert "Brickfield" in confined.call("show_recorder_file_info", name, False)
+        assert "Total time recorded" in confined.call("replay_file", name, 0.0, 0.0, 0)
+    assert confined.call("start_recorder", f"{recordings}/own.log") == str(recordings / "own.log")
 
 
-def test_a_confined_server_keeps_to_its_folder(confined: carla.Client, recordings: Path, tmp_path: Path) -> None:
+def test_a_confined_server_keeps_to_its_folder(confined: Inside, recordings: Path, tmp_path: Path) -> None:
     outside = tmp_path / "outside.log"
     outside.write_bytes((recordings / "also.log").read_bytes())
     (recordings / "link.log").symlink_to(outside)
@@ -623,9 +539,7 @@ def test_a_confined_server_keeps_to_its_folder(confined: carla.Client, recording
     (recordings / "loop.log").symlink_to(recordings / "loop.log")
     names = [str(outside), f"{recordings}/../{tmp_path.name}/x.log", "link", "link.log", f"{recordings}/links/outside.log"]
     for name in [*names, ".", "..", "../x", "loop.log"]:
-        calls = [*queries_of(name), lambda client, name=name: client.replay_file(name, 0.0, 0.0, 0)]
-        if name != "link":  # a new link.mcap is as good as any
-            calls.append(lambda client, name=name: client.start_recorder(name))
-        for ask in calls:
-            with pytest.raises(RuntimeError, match="is outside the folder of recordings"):
-                ask(confined)
+        recorder = [("start_recorder",)] if name != "link" else []  # a new link.mcap is as good as any
+        for call, *arguments in (*QUERIES, REPLAY, *recorder):
+            with pytest.raises(RecapError, match="is outside the folder of recordings"):
+                confined.call(call, name, *arguments)

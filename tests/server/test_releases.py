@@ -10,53 +10,49 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-import carla
 import pytest
 
 from carla_recap import open_recording
 from carla_recap.cli.options import RELEASES as CHOICES
 from carla_recap.server import running
-from carla_recap.server.protocol import DEFAULT, RELEASES, Release
+from carla_recap.server.protocol import RELEASES, Release
 from carla_recap.server.protocol.chaos import ChaosControl
 from carla_recap.server.protocol.clients import release_of
 from carla_recap.server.rpc.codec import decoder, encoder
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.blueprints import standard_library
-from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.physics_control import PhysicsControl
 from tests.samples import ROOT
-from tests.server.client import free_port
+from tests.server.client import connect, free_port, spawn
 from tests.server.inside import Inside
 from tests.waiting import PATIENCE
 
-if TYPE_CHECKING:
-    pass
-
-SCRIPT = Path(__file__).with_name("releases_script.py")
+SERVER = Path(__file__).parent
+SAME = {
+    "batches": ["batches_spawn_and_destroy_actors"],
+    "navmesh": ["walkers_walk_on_sidewalks_and_crossings"],
+    "sensors": ["each_frame_comes_to_queues_of_several_sensors_on_several_vehicles", "synchronous_mode"],
+    "traffic_manager": ["episodes_begin_while_it_lives[synchronous-4]"],
+    "vehicles": [
+        *("a_car_comes_to_the_speed_that_it_is_told", "the_road_tells_the_car_its_limit_and_its_light"),
+        "the_physics_control_of_every_blueprint_comes_back_as_it_was_sent",
+    ],
+    "world": [
+        *("places_are_projected", "the_map_has_lights_and_signs_by_itself", "settings_are_reset_on_request"),
+        *("a_group_begins_again", "lights_are_found_from_the_map_and_back", "a_trigger_volume_is_where_one_stops"),
+    ],
+}
+"""Tests that are run with each client: what they need is in all releases."""
 BY_NAME = {release.name: release for release in RELEASES}
 OTHERS = ("0.9.15", "0.10.0")
 """The releases whose clients are run beside that of 0.9.16, which all other tests of the server have."""
-ABSENT = {
-    "0.9.15": {
-        "cosmos_visualization_images_arrive",
-        "names_in_the_engine_are_read_and_textures_accepted",
-        "telemetry_is_read",
-        "v2x_messages_arrive",
-    },
-    "0.9.16": {"names_in_the_engine_are_read_and_textures_accepted"},
-    "0.10.0": {"cosmos_visualization_images_arrive", "telemetry_is_read", "v2x_messages_arrive"},
-}
-"""The steps of the script for which a client has no calls."""
 CAR, PLACE = "vehicle.lincoln.mkz_2020", [[500.0, 500.0, 0.5], [0.0, 0.0, 0.0]]
 DESCRIPTION = [0, CAR, []]
 
 
 def python_of(release: str) -> str:
     """Return the interpreter of an environment with a client."""
-    if release == DEFAULT.name:
-        return sys.executable
     python = ROOT / "build" / "clients" / release.replace(".", "-") / "bin" / "python"
     if not python.exists():
         pytest.skip(f"CARLA's client {release} is not installed: `make clients` does that")
@@ -73,18 +69,18 @@ def output_of(release: str, *arguments: object) -> str:
 # --- real clients ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("release", ABSENT)
-def test_every_step_of_a_script_passes_with_a_client(port: int, release: str, tmp_path: Path) -> None:
-    results = json.loads(output_of(release, SCRIPT, port, tmp_path, free_port()))
-    assert results.pop("release") == release
-    assert {step: result for step, result in results.items() if result != "passed" and step not in ABSENT[release]} == {}
-    assert {step for step, result in results.items() if result.startswith("absent")} == ABSENT[release]
+@pytest.mark.parametrize("release", OTHERS)
+def test_what_is_in_all_releases_is_the_same_with_a_client(release: str) -> None:
+    code = "import sys; sys.path.append(sys.argv.pop(1)); import pytest; sys.exit(pytest.main())"
+    tests = [f"{SERVER}/test_{file}.py::test_{name}" for file, names in SAME.items() for name in names]
+    packages = Path(pytest.__file__).parents[1]  # behind those of the client
+    output_of(release, "-c", code, packages, "-qx", "-p", "no:cacheprovider", *tests)
 
 
 @pytest.mark.parametrize("release", OTHERS)
 def test_the_sample_scripts_run_with_a_client(port: int, recordings: Path, release: str) -> None:
     name, samples = f"{release}.log", ROOT / "samples"
-    carla.Client("127.0.0.1", port).reload_world()  # without the actors of a replay that has ended meanwhile
+    connect(port).reload_world()  # without the actors of a replay that has ended meanwhile
 
     def output(script: str, *arguments: object) -> str:
         return output_of(release, samples / f"{script}.py", f"--port={port}", f"-f={name}", *arguments)
@@ -103,12 +99,7 @@ def test_the_sample_scripts_run_with_a_client(port: int, recordings: Path, relea
 @pytest.mark.parametrize("release", OTHERS)
 def test_a_client_captures_the_world_of_a_server(port: int, release: str, tmp_path: Path) -> None:
     python_of(release)
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(PATIENCE)
-    world = client.get_world()
-    blueprint = world.get_blueprint_library().find(CAR)
-    blueprint.set_attribute("role_name", "hero")
-    car = world.spawn_actor(blueprint, world.get_map().get_spawn_points()[0])
+    car = spawn(connect(port).get_world(), CAR, role_name="hero")
     output_of(release, "-m", "carla_recap", "capture", tmp_path / "a.mcap", f"--port={port}", "--duration=1")
     assert car.destroy()
     with open_recording(tmp_path / "a.mcap") as recording:
@@ -120,8 +111,7 @@ def test_a_client_captures_the_world_of_a_server(port: int, release: str, tmp_pa
 
 def test_a_client_of_another_release_than_the_servers_is_told_so(capfd: pytest.CaptureFixture[str]) -> None:
     with running(carla="0.9.14") as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
+        client = connect(port)
         for call in (client.get_world, client.get_available_maps):
             with pytest.raises(RuntimeError, match=r"expected a client of CARLA 0\.9\.14, found one of 0\.9\.16"):
                 call()
@@ -264,31 +254,14 @@ def test_a_recording_is_as_the_release_writes_it(name: str, tmp_path: Path) -> N
     assert "Positions: 2\n" in text
 
 
-def test_the_physics_of_0_10_are_those_of_the_vehicle() -> None:
+def test_the_physics_of_each_vehicle_come_back_from_0_10_as_they_were() -> None:
     release = BY_NAME["0.10.0"]
     encode, decode = encoder(PhysicsControl, release), decoder(PhysicsControl, release)
     for blueprint in standard_library().filter("vehicle.*"):
-        control = blueprint.physics
-        assert control is not None
-        wire = encode(control)
-        assert len(wire) == len(fields(ChaosControl)) == 30
-        assert {len(wheel) for wheel in wire[28]} == {38}
-        found: Any = decode(json.loads(json.dumps(wire)))
-        for name in (
-            "torque_curve",
-            "max_rpm",
-            "final_ratio",
-            "mass",
-            "drag_coefficient",
-            "center_of_mass",
-            "steering_curve",
-        ):
-            assert getattr(found, name) == getattr(control, name), name
-        assert [gear.ratio for gear in found.forward_gears] == [gear.ratio for gear in control.forward_gears]
-        for mine, theirs in zip(found.wheels, control.wheels, strict=True):
-            same = ("tire_friction", "max_steer_angle", "radius", "max_brake_torque", "max_handbrake_torque", "position")
-            assert [getattr(mine, name) for name in same] == [getattr(theirs, name) for name in same]
-            assert mine.lat_stiff_value == pytest.approx(theirs.lat_stiff_value)
+        assert blueprint.physics is not None
+        wire = encode(blueprint.physics)
+        assert (len(wire), {len(wheel) for wheel in wire[28]}) == (30, {38})
+        assert release.completed(decode(json.loads(json.dumps(wire))), blueprint.physics) == blueprint.physics
 
 
 def test_what_0_10_lacks_of_a_physics_control_is_kept() -> None:
@@ -316,8 +289,3 @@ def test_the_greatest_torque_of_0_10_scales_the_curve() -> None:
     control = ChaosControl.of(PhysicsControl(torque_curve=((0.0, 400.0), (5000.0, 200.0))))
     control.max_torque = 800.0
     assert control.plain().torque_curve == ((0.0, 800.0), (5000.0, 400.0))
-
-
-def test_a_transform_is_decoded_alike_in_each_release() -> None:
-    for release in RELEASES:
-        assert decoder(Transform, release)(PLACE) == decoder(Transform, DEFAULT)(PLACE)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import runpy
 import signal
 import subprocess
 import sys
@@ -23,9 +22,6 @@ from tests.waiting import PATIENCE, wait_until
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-TEXTS = {path.stem: path.read_text() for path in SAMPLES.glob("*.py")}
-SCRIPTS = sorted(name for name, text in TEXTS.items() if "from common import" in text and "def main" in text)
 BEHIND = (10.0**2 + 5.0**2) ** 0.5
 """m: how far the camera is from whom it follows."""
 
@@ -63,20 +59,6 @@ def output_of(port: int, script: str, *arguments: object) -> str:
     done = subprocess.run(command(port, script, *arguments), capture_output=True, text=True, timeout=PATIENCE)
     assert not done.returncode, done.stdout + done.stderr
     return done.stdout
-
-
-@pytest.mark.parametrize("script", SCRIPTS)
-def test_each_script_says_what_it_does(
-    script: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.syspath_prepend(SAMPLES)
-    monkeypatch.setattr(sys, "argv", [script, "--help"])
-    with pytest.raises(SystemExit) as end:
-        runpy.run_path(str(SAMPLES / f"{script}.py"), run_name="__main__")
-    assert not end.value.code
-    text = capsys.readouterr().out
-    assert "--host H" in text
-    assert "-p P, --port P" in text
 
 
 def test_queries(client: carla.Client, port: int) -> None:

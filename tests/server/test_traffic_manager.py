@@ -31,8 +31,8 @@ synchronous = carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.0
 MANAGER = 10_000 + int(port) % 20_000  # which no program gets that asks for any port
 def spawn(count):
     points = world.get_map().get_spawn_points()
-    model = world.get_blueprint_library().find("vehicle.tesla.model3")
-    vehicles = [world.try_spawn_actor(model, point) for point in points[::len(points) // count]]
+    model = world.get_blueprint_library().filter("vehicle.lincoln.mkz*")[0]
+    vehicles = [world.try_spawn_actor(model, point) for point in points[::len(points) // max(count, 1)]]
     return [vehicle for vehicle in vehicles if vehicle][:count]
 def manage(count, synchronous=True):
     manager = client.get_trafficmanager(MANAGER)
@@ -84,30 +84,10 @@ assert ticks == sorted(ticks)
 world.apply_settings(carla.WorldSettings())
 print("done")
 """
-MOVE = """
-import re
-world.apply_settings(synchronous)
-manage(1)
-east = lambda x: x[1] + str(float(x[2]) + 300)
-moved = re.sub(r'(<geometry [^>]*x=")([^"]*)', east, world.get_map().to_opendrive())
-world = client.generate_opendrive_world(moved, carla.OpendriveGenerationParameters(), False)
-world.tick()
-manager, vehicles = manage(5)
-roads = world.get_map()
-aside, driven = 0.0, 0.0
-for _ in range(200):
-    world.tick()
-    for vehicle in vehicles:
-        place = vehicle.get_location()
-        lane = roads.get_waypoint(place)
-        driven += vehicle.get_velocity().length() * 0.05
-        if not lane.is_junction:
-            aside = max(aside, place.distance_2d(lane.transform.location))
-print(json.dumps({"aside": aside, "driven": driven, "east": roads.get_spawn_points()[0].location.x}))
-world.apply_settings(carla.WorldSettings())
-"""
 LEFT = """
 mirrored, recording = open(arguments[0]).read(), arguments[1]
+world.apply_settings(synchronous)
+manage(1)
 world = client.generate_opendrive_world(mirrored, carla.OpendriveGenerationParameters(), False)
 world.apply_settings(synchronous)
 roads = world.get_map()
@@ -163,28 +143,6 @@ if len(arguments) > 1:
     world.tick()
 os.kill(os.getpid(), 9)
 """
-HYBRID = """
-world.apply_settings(synchronous)
-counts = []
-for _ in range(2):
-    hero = world.get_blueprint_library().find("vehicle.audi.tt")
-    hero.set_attribute("role_name", "hero")
-    world.spawn_actor(hero, world.get_map().get_spawn_points()[0]).set_autopilot(True, MANAGER)
-    manager, vehicles = manage(100)
-    manager.set_hybrid_physics_mode(True)
-    manager.set_hybrid_physics_radius(50.0)
-    world.tick()
-    places = [vehicle.get_location() for vehicle in vehicles]
-    for _ in range(40):
-        world.tick()
-    ways = [vehicle.get_location().distance(place) for vehicle, place in zip(vehicles, places)]
-    counts.append((len(ways), sum(way > 1.0 for way in ways), all(map(math.isfinite, ways))))
-    world = client.reload_world(False)
-manager.set_synchronous_mode(False)
-manager.shut_down()
-world.apply_settings(carla.WorldSettings())
-print(json.dumps(counts))
-"""
 
 
 def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
@@ -206,23 +164,12 @@ def test_the_traffic_manager_drives(client: carla.Client, port: int) -> None:
 @pytest.mark.parametrize("count", ["4", "0"])
 @pytest.mark.parametrize("mode", ["synchronous", "asynchronous"])
 def test_episodes_begin_while_it_lives(client: carla.Client, port: int, mode: str, count: str) -> None:
-    if count == "0":
-        script = RELOAD.replace("manage(int(arguments[1]), in_step)", "client.get_trafficmanager(MANAGER)")
-    else:
-        script = RELOAD
-    assert "done" in run(script, port, mode, count)
+    assert "done" in run(RELOAD, port, mode, count)
 
 
-def test_the_manager_drives_on_the_map_that_its_client_loads(client: carla.Client, port: int) -> None:
-    first = client.load_world("Brickfield").get_map().get_spawn_points()[0].location.x
-    result = json.loads(run(MOVE, port))
-    client.load_world("Brickfield")
-    assert result["east"] == pytest.approx(first + 300)
-    assert result["driven"] > 100
-    assert result["aside"] < 1.0
-
-
-def test_traffic_keeps_left(client: carla.Client, port: int, recordings: Path, tmp_path: Path) -> None:
+def test_the_manager_keeps_left_on_the_map_that_its_client_loads(
+    client: carla.Client, port: int, recordings: Path, tmp_path: Path
+) -> None:
     town = tmp_path / "Mirrored.xodr"
     town.write_text(mirrored(load_town().opendrive))
     result = json.loads(run(LEFT, port, str(town), "left.log"))
@@ -259,10 +206,3 @@ def test_clients_are_killed_while_they_drive_listen_and_record(client: carla.Cli
             assert world.tick() == frame
         destroy(client, world.get_actors().filter("sensor.*"))
         destroy(client, world.get_actors().filter("vehicle.*"))
-
-
-def test_hybrid_physics_of_a_hundred_cars_and_reloads(client: carla.Client, port: int) -> None:
-    for spawned, driven, finite in json.loads(run(HYBRID, port)):
-        assert spawned == 100
-        assert driven > 20
-        assert finite

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from carla_recap.server.sensors.v2x import PathLoss, message_bytes
-from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Vector
 from tests.server.client import Data, place
 from tests.server.client import sensor as sensor_on
@@ -95,19 +94,6 @@ def times(speed: float, steer: float = 0.0, **attributes: str) -> list[int]:
 )
 def test_a_vehicle_sends_when_it_has_moved_or_after_some_time(motion: dict[str, Any], expected: list[int]) -> None:
     assert times(**motion)[: len(expected)] == expected
-
-
-def test_messages_differ_by_the_motion() -> None:
-    host = served()
-    car = vehicle(host, 30.0)
-    cam_sensor(host, car)
-    receiver = cam_sensor(host, vehicle(host, 0.0, 20.0))
-    car.set_target_velocity(Vector(12.0))
-    car.apply_control(VehicleControl(throttle=0.5))
-    for _ in range(30):
-        host.tick()
-    ((_, last),) = cams(receiver)[-1:]
-    assert last["speed"] == pytest.approx(100 * car.velocity.x, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -221,6 +207,7 @@ def test_the_client_reads_cams(world: carla.World) -> None:
     bus, car = carrier(world, "vehicle.mitsubishi.fusorosa", 30.0), carrier(world, "vehicle.lincoln.mkz_2017")
     _, listening = (sensor_on(world, "other.v2x", parent, fixed_rate="true") for parent in (bus, car))
     bus.set_light_state(carla.VehicleLightState(carla.VehicleLightState.LowBeam))
+    bus.enable_constant_velocity(carla.Vector3D(x=0.5))
     event = received(world, Data(listening))
     assert (type(event), event.get_message_count(), len(event)) == (carla.CAMEvent, 1, 1)
     (message,) = event
@@ -235,7 +222,7 @@ def test_the_client_reads_cams(world: carla.World) -> None:
     assert basic["Station Type"] == "Bus"
     assert basic["Reference Position"]["Latitude"] == pytest.approx(there.latitude * 1e7, abs=10)
     assert basic["Reference Position"]["Longitude"] == pytest.approx(there.longitude * 1e7, abs=10)
-    assert (motion["Heading"]["Value"], motion["Speed"]["Value"]) == (900, 0)
+    assert (motion["Heading"]["Value"], motion["Speed"]["Value"]) == (900, 50)
     assert (motion["Vehicle Length"]["Value"], motion["Vehicle Width"]) == (103, 39)
     assert motion["Vertical Acceleration"]["Value"] == 98
     assert (low["Vehicle Role"], low["Exterior Light"]) == ("Public Transport", 128)
@@ -261,12 +248,3 @@ def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> N
     wait_until(is_last)
     assert own.empty()
     assert far.empty()
-
-
-def test_a_radio_without_a_carrier_is_silent(world: carla.World) -> None:
-    alone = sensor_on(world, "other.v2x_custom")
-    data = Data(alone)
-    for _ in range(5):
-        alone.send("out of range")
-        world.tick()
-    assert data.empty()

@@ -10,11 +10,17 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.sim.geometry import Vector
-from tests.server.client import FAR, spawn, ticks
+from tests.server.client import FAR, MODEL, spawn, ticks
 from tests.server.inside import Inside
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.moving import Vehicle
+
+
+WHEEL = {
+    *("max_brake_torque", "radius", "tire_friction", "lat_stiff_value"),
+    *("wheel_radius", "friction_force_multiplier", "cornering_stiffness"),  # as in 0.10
+}
 
 
 @pytest.fixture
@@ -44,36 +50,25 @@ def test_the_physics_control_of_every_blueprint_comes_back_as_it_was_sent(world:
     for blueprint in world.get_blueprint_library().filter("vehicle.*"):
         vehicle = world.spawn_actor(blueprint, FAR)
         control = vehicle.get_physics_control()
-        control.mass += 7.0
+        for name in {"mass", "final_ratio", "gear_switch_time", "gear_change_time"}.intersection(dir(control)):
+            setattr(control, name, getattr(control, name) + 0.25)
         control.use_sweep_wheel_collision = True
         control.center_of_mass = carla.Vector3D(0.1, 0.0, 0.2)
-        control.final_ratio += 0.5
-        control.gear_switch_time += 0.25
-        control.torque_curve = [carla.Vector2D(x=at.x + 1.0, y=at.y + 2.0) for at in control.torque_curve]
-        control.forward_gears = [carla.GearPhysicsControl(gear.ratio + 0.25, 0.125, 0.5) for gear in control.forward_gears]
+        if hasattr(control, "forward_gears"):  # not in 0.10, where the greatest torque scales the curve
+            control.torque_curve = [carla.Vector2D(x=at.x + 1.0, y=at.y + 2.0) for at in control.torque_curve]
+            control.forward_gears = [
+                carla.GearPhysicsControl(gear.ratio + 0.25, 0.125, 0.5) for gear in control.forward_gears
+            ]
         wheels = control.wheels
         for wheel in wheels:
-            assert wheel.position.y / 100 == pytest.approx(FAR.location.y, abs=10)
-            wheel.radius += 1.0
-            wheel.tire_friction = 1.7
-            wheel.max_brake_torque += 3.0
-            wheel.lat_stiff_value = 18.5
+            place = wheel.position if hasattr(wheel, "position") else wheel.location
+            assert place.y / 100 == pytest.approx(FAR.location.y, abs=10)
+            for name in WHEEL.intersection(dir(wheel)):
+                setattr(wheel, name, getattr(wheel, name) + 1.5)
         control.wheels = wheels
         vehicle.apply_physics_control(control)
         assert str(vehicle.get_physics_control()) == str(control), blueprint.id
         assert vehicle.destroy()
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [(0, []), (0, [[9000.0, 100.0], [0.0, 700.0]]), (10, []), (9, 0.0), (11, -5.0)],
-    ids=["no torque", "falling revolutions", "no gears", "no final ratio", "no mass"],
-)
-def test_a_physics_control_that_carla_takes_is_taken(inside: Inside, parked: Vehicle, field: int, value: object) -> None:
-    control = inside.call("get_physics_control", parked.id)
-    control[field] = value
-    inside.call("apply_physics_control", parked.id, control)
-    assert inside.call("get_physics_control", parked.id) == control
 
 
 def test_a_physics_control_with_fewer_wheels_changes_the_first_ones(inside: Inside) -> None:
@@ -130,20 +125,9 @@ def test_only_vehicles_are_driven(inside: Inside) -> None:
         inside.call("apply_control_to_vehicle", spectator, [0.0, 0.0, 0.0, False, False, False, 0])
 
 
-def test_controls_are_numbers(inside: Inside, parked: Vehicle) -> None:
-    bad = math.nan
-    with pytest.raises(RecapError, match="apply_control_to_vehicle, argument 2: expected a finite number"):
-        inside.call("apply_control_to_vehicle", parked.id, [0.0, bad, 0.0, False, False, False, 0])
-    with pytest.raises(RecapError, match="finite"):
-        inside.call("apply_ackermann_control_to_vehicle", parked.id, [0.0, 0.0, bad, 0.0, 0.0])
-    inside.call("apply_ackermann_control_to_vehicle", parked.id, [3e38, 3e38, 3e38, 3e38, 3e38])
-    inside.host.tick()
-    assert math.isfinite(parked.transform.location.x)
-
-
 def test_vehicles_in_a_lane_are_not_exactly_in_line(world: carla.World) -> None:
     """CARLA's `BasicAgent` takes an angle of 0 between its direction and a vehicle for one that is not ahead."""
-    model = world.get_blueprint_library().find("vehicle.tesla.model3")
+    model = world.get_blueprint_library().find(MODEL)
     for start in world.get_map().get_spawn_points()[:10]:
         ahead = carla.Transform(start.transform(carla.Location(x=15.0)), start.rotation)
         first, second = (world.try_spawn_actor(model, place) for place in (start, ahead))
@@ -170,12 +154,6 @@ def test_telemetry_of_a_recorded_gear_that_the_blueprint_lacks_is_that_of_its_hi
         told.append(inside.call("get_telemetry_data", parked.id))
     assert told[1][5] == 9
     assert told[1][4] == told[0][4] > 0
-
-
-def test_a_velocity_that_is_too_high_in_other_axes_is_refused(inside: Inside, parked: Vehicle) -> None:
-    with pytest.raises(RecapError, match="at most 10000 m/s"):
-        inside.call("enable_actor_constant_velocity", parked.id, [9000.0, 9000.0, 0.0])
-    inside.host.tick()
 
 
 def test_what_raises_in_a_tick_costs_that_action_alone(caplog: pytest.LogCaptureFixture) -> None:

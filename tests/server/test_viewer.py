@@ -15,72 +15,36 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.server.viewer import ViewerProcess
 from tests.cli.command import ENVIRONMENT, error
-from tests.server.client import SYNCHRONOUS, connect, serving, spawn
+from tests.server.client import SYNCHRONOUS, ahead, connect, place, serving, spawn
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-@pytest.fixture(scope="module")
-def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def test_what_rerun_gets_is_what_an_export_holds(tmp_path: Path) -> None:
     """A hero comes, and drives until it hits something."""
-    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-    path = tmp_path_factory.mktemp("live") / "live.rrd"
+    read = pytest.importorskip("rerun.chunk", reason="the extra `rerun` is not installed").RrdReader
+    path = tmp_path / "live.rrd"
     with serving("--rerun-to", path) as (process, port):
         world = connect(port).get_world()
         world.apply_settings(SYNCHRONOUS)
-
-        def is_written_to() -> bool:
-            world.tick()
-            return any(path.parent.glob(".live.rrd.*"))
-
-        wait_until(is_written_to, pause=0.05)
-        library, place = world.get_blueprint_library(), world.get_map().get_spawn_points()[0]
-        hero = library.find("vehicle.tesla.model3")
-        hero.set_attribute("role_name", "hero")
-        driven = world.spawn_actor(hero, place)
-        world.spawn_actor(library.find("sensor.other.collision"), carla.Transform(), attach_to=driven)
-        place.location += 20.0 * place.get_forward_vector()
-        world.spawn_actor(library.find("vehicle.volkswagen.t2"), place)
-        world.tick()
-        driven.apply_control(carla.VehicleControl(throttle=1.0))
+        wait_until(lambda: world.tick() and any(tmp_path.glob(".live.rrd.*")), pause=0.05)
+        hero = spawn(world, role_name="hero")
+        place(world, "sensor.other.collision", carla.Transform(), hero)
+        place(world, "vehicle.volkswagen.t2", ahead(hero.get_transform(), 20.0))
+        hero.apply_control(carla.VehicleControl(throttle=1.0))
         for _ in range(100):
             world.tick()
             time.sleep(0.02)
-        (live,) = path.parent.glob(".live.rrd.*")
-        copy = path.with_name("copy.rrd")
-
-        def has_collision() -> bool:
-            copy.write_bytes(live.read_bytes())
-            with pytest.warns(Warning, match="no footer"):
-                return any("collides with vehicle.volkswagen.t2" in text for text in events(copy))
-
-        wait_until(has_collision, pause=0.1)
         process.terminate()
         process.wait(PATIENCE)
-    return path
-
-
-def events(path: Path) -> list[str]:
-    """Return the texts of the events in an .rrd."""
-    from rerun.chunk import RrdReader
-
-    return [
-        text.as_py()[0]
-        for chunk in RrdReader(path).stream().filter(content="/events", is_static=False).to_chunks()
-        for text in chunk.to_record_batch().column("TextLog:text")
-    ]
-
-
-@pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_it_is_what_an_export_holds(rrd: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    paths = {str(chunk.entity_path) for chunk in RrdReader(rrd).stream().to_chunks()}
+    paths = {str(chunk.entity_path) for chunk in read(path).stream().to_chunks()}
     assert {"/world/chase", "/world/map/roads", "/ego/speed_kmh", "/ego/controls", "/map/actors", "/events"} <= paths
     assert any(path.startswith("/world/actors/") for path in paths)
-    assert any("collides with vehicle.volkswagen.t2" in text for text in events(rrd))
+    events = read(path).stream().filter(content="/events", is_static=False).to_chunks()
+    texts = [text.as_py()[0] for chunk in events for text in chunk.to_record_batch().column("TextLog:text")]
+    assert any("collides with vehicle.volkswagen.t2" in text for text in texts)
 
 
 def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@
 | `traffic_manager.TrafficManagerPause` | `test_episodes_begin_while_it_lives`, `test_a_pause_waits_for_each_manager` |
 | the client resets its traffic manager only when a snapshot has another episode than `get_episode_info` had \
 | on a map that it has loaded, its traffic drives along the lanes of the map before | `host.Client` \
-| `test_the_manager_drives_on_the_map_that_its_client_loads` |
+| `test_the_manager_keeps_left_on_the_map_that_its_client_loads` |
 | CARLA's `BasicAgent` ignores what is exactly ahead, at an angle of 0; CARLA's vehicles, which settle on their springs, \
 are never exactly in line | it drives into a car that stands in its lane | `quirks.slightly_aside` \
 | `test_vehicles_in_a_lane_are_not_exactly_in_line` |
