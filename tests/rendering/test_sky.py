@@ -43,9 +43,3 @@ def test_parameters_that_are_left_to_the_map_or_not_finite_give_a_clear_day() ->
         sky = Sky.of_weather(Weather(*[value] * 14))
         assert sky == Sky()
         assert not sky.is_night
-
-
-def test_more_fog_is_denser() -> None:
-    densities = [Sky(fog=fog).density for fog in (0.0, 0.1, 0.5, 1.0)]
-    assert densities == sorted(densities)
-    assert Sky(dust=1.0).density == Sky(fog=1.0).density

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import signal
 
 import pytest
 
@@ -15,7 +13,7 @@ from PIL import Image
 from carla_recap.errors import RecapError
 from carla_recap.show.rerun import viewer
 from tests.screenshots import ScreenshotTaker
-from tests.waiting import is_running, time_limit
+from tests.waiting import time_limit
 
 
 def test_the_whole_window_shows_the_blueprint_of_the_recording(crossing_rrd):
@@ -47,11 +45,3 @@ def test_a_file_that_the_viewer_cannot_load_is_an_error(tmp_path, temporary, mon
     (tmp_path / "no.rrd").write_bytes(b"This is no recording.")  # one that is cut may be whole as far as it goes
     with time_limit(), pytest.raises(RecapError, match="no recording within 2 s: failed to read RRD metadata"):
         ScreenshotTaker(tmp_path / "no.rrd").__enter__()
-
-
-def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
-    monkeypatch.setattr(viewer, "_GRACE", 0.1)
-    with ScreenshotTaker(crossing_rrd) as screenshots:
-        pid = screenshots._process.pid
-        os.kill(pid, signal.SIGSTOP)
-    assert not is_running(pid)

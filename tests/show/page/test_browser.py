@@ -11,7 +11,7 @@ from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page import Opening
 from tests.replay.scripts import spawn, write
-from tests.samples import CROSSING, carla_log, names_in
+from tests.samples import CROSSING, names_in
 from tests.scene.accidents import accident
 from tests.show.page.conftest import NASTY, data, record, report
 from tests.show.page.pages import Page
@@ -297,15 +297,6 @@ def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Pat
     assert page.ask("document.getElementById('play').disabled")
     assert "There are no incidents" in page.text("nothing")
     page.press(" ", "f", "n", "+")
-    assert page.errors == []
-
-
-@pytest.mark.parametrize("name", ["carla-0.9.13-lane-center", "floats"])
-def test_recordings_of_carla_open(chromium: Chrome, tmp_path: Path, name: str) -> None:
-    page = Page(chromium, report(carla_log(f"{name}.log"), tmp_path / "page"))
-    assert page.ask("document.querySelectorAll('.incident').length") == len(data(tmp_path / "page", "report")["incidents"])
-    page.press("n", " ", "f", "h")
-    page.until(lambda: page.ask("document.getElementById('now').textContent.length") > 0)
     assert page.errors == []
 
 

@@ -1,4 +1,4 @@
-"""The images of a camera on the incident page, in its files and in a browser."""
+"""The images of a camera on the incident page, and rendered pictures of incidents, in its files and in a browser."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ from carla_recap import FormatError, RecapError, RecapWarning, open_recording
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.show.page import images as module
 from carla_recap.show.page import write_report
+from carla_recap.show.page.report import PICTURE_SIZE
 from tests.cli.command import error
+from tests.replay.scripts import spawn
 from tests.samples import CROSSING, drive
 from tests.sensed import HEADER, camera, filmed
-from tests.show.page.conftest import WITHOUT_ROADS, report
+from tests.show.page.conftest import WITHOUT_ROADS, data, record, report
 from tests.show.page.pages import Page, emulated
 
 if TYPE_CHECKING:
@@ -142,6 +144,40 @@ def test_images_that_are_damaged_are_left_out_with_a_warning_unless_they_are_ask
     with pytest.raises(FormatError, match=r"b\.mcap"):
         report(tmp_path / "b.mcap", tmp_path / "other.html", camera="ahead")
     assert not (tmp_path / "other.html").exists()
+
+
+# --- rendered pictures of incidents ---
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 900, 0, 0, 0, 0, 0)]}
+    first = there | {"spawned": [spawn(1), spawn(2)]}
+    return record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there])
+
+
+def rendered(source: Path, page: Path) -> Path:
+    pytest.importorskip("moderngl", reason="the extra cameras is not installed")
+    try:
+        return report(source, page, pictures="rendered")
+    except RecapError as error:
+        if "driver" not in str(error):
+            raise
+        pytest.skip(str(error))
+
+
+def test_a_folder_has_files(source: Path, tmp_path: Path) -> None:
+    page = rendered(source, tmp_path / "page")
+    with Image.open(page / data(page, "report")["incidents"][0]["picture"]) as picture:
+        assert (picture.format, picture.size) == ("JPEG", PICTURE_SIZE)
+
+
+def test_a_single_file_contains_them(source: Path, tmp_path: Path) -> None:
+    page = rendered(source, tmp_path / "page.html")
+    head, _, content = data(page, "report")["incidents"][0]["picture"].partition(",")
+    assert head == "data:image/jpeg;base64"
+    with Image.open(BytesIO(b64decode(content))) as picture:
+        assert picture.size == PICTURE_SIZE
 
 
 # --- in a browser ------------------------------------------------------------------------------------------------

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from carla_recap import IncidentOptions, open_recording, write_report
 from carla_recap.show.page.script import Packer
 from tests.replay.scripts import spawn
-from tests.samples import CROSSING, names_in
+from tests.samples import CROSSING, ROOT, names_in
 from tests.show.page.conftest import data, record, report, unpack
 from tests.show.page.pages import Page
 from tests.waiting import wait_until
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from selenium.webdriver import Chrome
+
+
+VIEWER = ROOT / "viewer"
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +104,12 @@ def test_columns_keep_their_values(values: list[float], order: int) -> None:
     assert found["before"].tolist() == [1, 2, 3]
     largest = max(np.abs(values), default=0)
     assert found["it"] == pytest.approx(np.array(values, float), abs=max(0.0011, largest / 2**30))
+
+
+def test_the_bundle_is_what_the_modules_make(tmp_path: Path) -> None:
+    if shutil.which("npm") is None or not (VIEWER / "node_modules").is_dir():
+        pytest.skip("viewer/node_modules is missing: 'make test' installs it where npm is")
+    command = ["npm", "--prefix", VIEWER, "run", "bundle", "--", f"--outfile={tmp_path / 'page.js'}"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert (tmp_path / "page.js").read_text() == (VIEWER / "page" / "page.js").read_text(), "run 'make bundle'"

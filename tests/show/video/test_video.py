@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("av", reason="the extra `video` is not installed")
 
 import av
-from PIL import Image
 
 from carla_recap import Player, open_recording
 from carla_recap.errors import RecapError
@@ -36,13 +35,6 @@ SMALL = (320, 180)
 
 def frames_of(path: Path) -> list[Any]:
     """Return the frames of a video, as red, green, blue."""
-    if path.suffix == ".gif":
-        with Image.open(path) as image:
-            found = []
-            for index in range(image.n_frames):
-                image.seek(index)
-                found.append(np.asarray(image.convert("RGB")))
-            return found
     with av.open(str(path)) as container:
         return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
 
