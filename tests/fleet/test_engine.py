@@ -2,13 +2,16 @@ from __future__ import annotations
 
 import os
 import shutil
+import warnings
 from functools import partial
 
 import pytest
 
 from carla_recap import Closed, RecapError, RecapWarning, Recording, map_recordings, open_recordings
+from carla_recap.fleet.answers import answers
 from carla_recap.fleet.engine import map_sources, processors
-from carla_recap.fleet.sources import SourceFile
+from carla_recap.fleet.sources import SourceFile, find_sources
+from carla_recap.queries.info import info
 from tests.cli.command import CROSSING
 from tests.waiting import PATIENCE
 
@@ -93,3 +96,16 @@ def test_a_method_is_called_for_each_recording(runs):
     assert [len(first.value), broken.value, len(last.value)] == [2, None, 2]
     assert broken.error == f"{runs / 'b.log'}: is not a recording (neither CARLA's log nor MCAP)"
     assert (first.source.location, first.error) == (str(runs / "a.log"), None)
+
+
+def warned(reader):
+    warnings.warn("an odd frame", RecapWarning, stacklevel=1)
+    return info(reader, all=True)
+
+
+@pytest.mark.parametrize("most", [0, 1 << 20])
+def test_answers_have_their_warnings_however_long_they_are(monkeypatch, most):
+    monkeypatch.setattr("carla_recap.fleet.answers._MOST", most)
+    (found,) = answers(warned, "json", find_sources([CROSSING]), jobs=1)
+    assert len(list(found.pieces)) == found.rows > 0
+    assert found.warnings == ("an odd frame",)

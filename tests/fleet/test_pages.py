@@ -41,13 +41,15 @@ def runs(tmp_path):
 def test_each_recording_that_fails_gets_a_page_and_a_clip(runs):
     folder = runs / "out"
     folder.mkdir()
-    found = check_sources(find_sources([runs]), RULES)
-    written = list(write_pages(list(found), folder, clips=True, jobs=1))
-    assert [(each.page, each.clip, warnings) for each, warnings in written] == [
-        ("pages/run.html", "clips/run.mcap", ()),
-        ("pages/run-2.html", "clips/run-2.mcap", ()),
-        (None, None, ()),
+    found = list(check_sources(find_sources([runs]), RULES))
+    said = {}
+    written = write_pages(found, RULES, folder, said.__setitem__, clips=True, jobs=1)
+    assert [(each.page, each.clip) for each in written] == [
+        ("pages/run.html", "clips/run.mcap"),
+        ("pages/run-2.html", "clips/run-2.mcap"),
+        (None, None),
     ]
+    assert said == dict.fromkeys((each.recording for each in found[:2]), ())
     assert names_in(folder / "pages") == ["run-2.html", "run.html"]
     opening = data(folder / "pages" / "run.html", "report")["opening"]
     assert (opening["time"], opening["actors"]) == (12.1, [41, 44])
@@ -59,11 +61,11 @@ def test_each_recording_that_fails_gets_a_page_and_a_clip(runs):
 
 def test_a_page_that_cannot_be_made_is_a_warning(tmp_path):
     found = [checked(str(save(tmp_path / "gone.mcap", b"nothing")), "fail", "hits", 1.0)]
-    ((each, warnings),) = write_pages(found, tmp_path, jobs=1)
+    said = {}
+    (each,) = write_pages(found, RULES, tmp_path, said.__setitem__, jobs=1)
     assert each.page is None
-    assert len(warnings) == 1
-    assert "no page: " in warnings[0]
-    assert f"Warning: no page: {found[0].recording}" in text(overview([each], RULES))
+    assert said == {found[0].recording: each.warnings}
+    assert f"Warning: no page: {found[0].recording}" in text((tmp_path / "index.html").read_text("utf-8"))
     assert "Warning: an odd frame" in text(overview([replace(checked("a.mcap"), warnings=("an odd frame",))], RULES))
 
 

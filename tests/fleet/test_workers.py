@@ -18,7 +18,6 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
-from carla_recap.fleet.workers import KeptWorker
 from tests.fleet.hostile import HOSTILE, LIMIT, hostile
 from tests.waiting import PATIENCE, time_limit, wait_until
 
@@ -203,17 +202,6 @@ def test_a_function_with_a_limit_may_do_anything_to_its_process():
         outcomes = list(map_sources(hostile, map(SourceFile, names), jobs=2, limit=LIMIT))
     assert [outcome.error for outcome in outcomes] == [None, *HOSTILE.values(), None]
     assert os.getpid() not in {outcome.value for outcome in outcomes}
-    assert not multiprocessing.active_children()
-
-
-def test_a_kept_worker_is_started_anew_when_it_ends():
-    worker = KeptWorker(hostile, LIMIT)
-    with time_limit():
-        first, again = (worker.call(SourceFile("a")).value for _ in range(2))
-        assert worker.call(SourceFile("exits")).error == HOSTILE["exits"]
-        assert worker.call(SourceFile("hangs")).error == HOSTILE["hangs"]
-        assert first == again != worker.call(SourceFile("a")).value
-        worker.close()
     assert not multiprocessing.active_children()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import ExitStack, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from carla_recap.cli import opening, options
-from carla_recap.cli.many import Messages, SourcesRequest
+from carla_recap.cli.many import SourcesRequest
 from carla_recap.cli.options import NUMBER, argument, command, flag, option
 from carla_recap.cli.output import counted, emit, end, fail, indented, warn, wrote
 from carla_recap.cli.progress import watch
@@ -78,11 +78,12 @@ def check(
                     judged.append(strict(each) if is_strict else each)
                     messages.add(each.recording, each.warnings)
             is_judged = True
-            shown = (
-                judged
-                if room is None
-                else _write_pages(judged, rules, room, messages, html, clips=clips, road_map=road_map, jobs=jobs)
-            )
+            shown = judged
+            if room is not None:
+                from carla_recap.fleet.pages import write_pages
+
+                how: dict[str, Any] = {"clips": clips, "road_map": road_map, "shown": html, "jobs": jobs}
+                shown = write_pages(judged, rules, room, messages.add, **how)
         checked = shown if html is None else [each.in_folder(html) for each in shown]
         messages.end()
     except RecapError as error:
@@ -121,29 +122,6 @@ def loaded_rules(path: str) -> RuleSet:
         for fault in error.faults:
             fail(fault)
         end(failed=True)
-
-
-def _write_pages(
-    judged: Sequence[CheckedRecording],
-    rules: RuleSet,
-    room: Path,
-    messages: Messages,
-    html: str | None,
-    *,
-    clips: bool,
-    road_map: str | None,
-    jobs: int | None,
-) -> list[CheckedRecording]:
-    """Write the pages and the overview into a folder that becomes `html`; return the recordings with their pages' paths."""
-    from carla_recap.fleet.pages import overview, write_pages
-
-    checked = []
-    with closing(write_pages(judged, room, clips=clips, road_map=road_map, shown=html, jobs=jobs)) as written:
-        for each, warnings in written:
-            checked.append(each)
-            messages.add(each.recording, warnings)
-    (room / "index.html").write_text(overview(checked, rules), "utf-8")
-    return checked
 
 
 def _counts(checked: Sequence[CheckedRecording]) -> dict[str, int]:

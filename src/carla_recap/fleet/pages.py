@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -62,27 +63,30 @@ class WrittenPage(NamedTuple):
 
 def write_pages(
     checked: Sequence[CheckedRecording],
+    rules: RuleSet,
     folder: Path,
+    say: Callable[[str, tuple[str, ...]], object],
     *,
     clips: bool = False,
     road_map: str | None = None,
     shown: Path | str | None = None,
     jobs: int | None = None,
-) -> Generator[tuple[CheckedRecording, tuple[str, ...]]]:
-    """Write the incident page of each recording that fails into a folder; yield each recording, and the warnings about it.
+) -> list[CheckedRecording]:
+    """Write the overview of a check, and incident pages, into a folder; return the recordings with their pages.
 
     The first `MOST` recordings that fail get a page, and with `clips` a clip of the first offence. One whose page cannot be
-    made has none, which is a warning.
+    made has none, which is a warning. `say` is called with each of these recordings, and the warnings about its page.
     """
     failed = [each for each in checked if each.status == "fail"][:MOST]
     openings = {each.recording: opening_of(each.verdicts) for each in failed}
+    found = {each.recording: each for each in checked}
     written = write_incident_pages(openings, folder, clips=clips, road_map=road_map, shown=shown, jobs=jobs)
-    for each in checked:
-        if each.recording not in openings:
-            yield each, ()
-        else:
-            page, clip, messages = next(written)
-            yield replace(each, page=page, clip=clip, warnings=(*each.warnings, *messages)), messages
+    with closing(written):
+        for each, (page, clip, messages) in zip(failed, written, strict=True):
+            say(each.recording, messages)
+            found[each.recording] = replace(each, page=page, clip=clip, warnings=(*each.warnings, *messages))
+    (folder / "index.html").write_text(overview([*found.values()], rules), "utf-8")
+    return [*found.values()]
 
 
 def write_incident_pages(

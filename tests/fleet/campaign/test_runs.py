@@ -1,9 +1,13 @@
-"""Runs of campaigns, in worker processes and on a cluster."""
+"""Runs of campaigns: of functions and of scripts for CARLA's client, in worker processes and on a cluster."""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import signal
+import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -119,11 +123,6 @@ def test_a_folder_that_cannot_be_written_is_an_error(tmp_path, name):
         list(campaign(functions.drive, seeds=[1], out=tmp_path / name, jobs=1))
 
 
-def test_a_town_that_is_missing_is_an_error(tmp_path):
-    with pytest.raises(RecapError, match="Nowhere"):
-        list(campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1, town="Nowhere", maps=tmp_path))
-
-
 SOURCE = """
 def run(world, speed=1):
     world.run(0.1)
@@ -196,3 +195,83 @@ def test_an_impact_has_the_relative_speed_just_before():
     assert found["impact_speed"].actor == 41
     with open_recording(SAMPLES / "avoided.mcap") as recording:
         assert "impact_speed" not in measured(recording)
+
+
+SCRIPT = """
+import json, os, sys
+import carla
+
+host, port = os.environ["CARLA_HOST"], int(os.environ["CARLA_PORT"])
+parameters = json.loads(os.environ["CARLA_RECAP_PARAMETERS"])
+assert sys.argv[1:] == [f"--host={host}", f"--port={port}", f"--seed={os.environ['CARLA_RECAP_SEED']}",
+                        f"--speed={parameters['speed']}"]
+client = carla.Client(host, port)
+client.set_timeout(60)
+if parameters["speed"] == 9:
+    sys.exit("no such speed")
+world = client.reload_world() if parameters["speed"] == 10 else client.get_world()
+blueprint = world.get_blueprint_library().find("vehicle.audi.tt")
+blueprint.set_attribute("role_name", "hero")
+hero = world.spawn_actor(blueprint, world.get_map().get_spawn_points()[0])
+for _ in range(20):
+    hero.apply_control(carla.VehicleControl(throttle=parameters["speed"] / 10))
+    world.tick()
+"""
+
+
+def test_a_script_runs_against_a_server_of_its_own(tmp_path, monkeypatch):
+    pytest.importorskip("carla", reason="the extra `carla` is not installed")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drive.py").write_text(SCRIPT)
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\ntouch {tmp_path}/used\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    options = {"seeds": [3], "params": {"speed": [8, 9, 10]}}
+    with time_limit():
+        found = list(campaign(tmp_path / "drive.py", out=tmp_path / "a", jobs=2, **options))
+        list(campaign(tmp_path / "drive.py", out=tmp_path / "b", jobs=1, carla="0.9.16", python=python.name, **options))
+    assert (tmp_path / "used").exists()
+    errors = [finished.report.error for finished in found]
+    assert errors == [None, "the script ends with exit code 1: no such speed", None]
+    for speed in (8, 10):
+        path = tmp_path / "a" / f"seed=3,speed={speed}.mcap"
+        with open_recording(path) as recording:
+            assert recording.info.frames == 20 + (speed == 10)  # CARLA's client ticks when it loads a map
+            parameters = recording.header.parameters
+            assert (parameters["seed"], parameters["speed"]) == ("3", str(speed))
+            assert parameters["campaign.function"] == "drive.py"
+            assert [hero.type_id for hero in recording.heroes] == ["vehicle.audi.tt"]
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+
+def test_each_run_is_there_once_when_workers_are_killed(client, tmp_path):
+    seeds, killed = range(1, 13), set()
+    with time_limit():
+        runs = campaign(functions.drive, seeds=seeds, params={"seconds": [0.2]}, out=tmp_path / "a", client=client)
+        found = []
+        for finished in runs:
+            found.append(finished)
+            if len(found) in (4, 8):
+                pid = next(iter(client.run(os.getpid).values()))
+                os.kill(pid, signal.SIGKILL)
+                killed.add(pid)
+        list(campaign(functions.drive, seeds=seeds[:8], params={"seconds": [0.2]}, out=tmp_path / "b", jobs=1))
+    assert len(killed) == 2
+    assert [(finished.run.seed, finished.report.error) for finished in found] == [(seed, None) for seed in seeds]
+    assert names_in(tmp_path / "a") == sorted(f"seed={seed},seconds=0.2.mcap" for seed in seeds)
+    for name in names_in(tmp_path / "b"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_recordings_go_to_an_object_store(tmp_path):
+    from tests.web import serve_bucket
+
+    (tmp_path / "empty").mkdir()
+    with serve_bucket("runs", tmp_path / "empty") as url, time_limit():
+        run = partial(campaign, functions.drive, params={"seconds": [0.2]}, out=f"{url}/some/", jobs=1)
+        first = list(run(seeds=[1, 2]))
+        again = list(run(seeds=[1, 2, 3]))
+        with open_recording(f"{url}/some/seed=3,seconds=0.2.mcap") as recording:
+            assert recording.header.parameters.items() >= {"seed": "3", "seconds": "0.2"}.items()
+    assert [finished.report.error for finished in (*first, *again)] == [None] * 5
+    assert [finished.report.was_there for finished in again] == [True, True, False]

@@ -63,11 +63,8 @@ class _HeatMap(NamedTuple):
     """A heat map: the worst value of a measure in each cell."""
 
     measure: Measure
-    worst: str  # which values are the worst, in words
-    down: str  # the parameter of the rows
-    across: str  # that of the columns
-    rows: tuple[str, ...]  # a label for each
-    columns: tuple[str, ...]
+    down: _Axis
+    across: _Axis
     cells: list[_Cell]  # those that have runs
 
 
@@ -139,25 +136,13 @@ def _label(value: Any) -> str:
 def _heat_map(rows: Sequence[FinishedRun], folder: Path, measure: Measure, down: _Axis, across: _Axis) -> _HeatMap:
     """Return the worst value of each cell, which leads to the run that has it."""
     cells: dict[tuple[int, int], list[FinishedRun]] = defaultdict(list)
-    for row in rows:
-        cells[down.index(row), across.index(row)].append(row)
-    known = [row.report.results[measure.name].value for row in rows if measure.name in row.report.results]
-    known = [value for value in known if math.isfinite(value)]
+    for run in rows:
+        cells[down.index(run), across.index(run)].append(run)
+    values = (run.report.results[measure.name].value for run in rows if measure.name in run.report.results)
+    known = [value for value in values if math.isfinite(value)]
     span = (min(known), max(known)) if known else (0.0, 0.0)
-    return _HeatMap(
-        measure,
-        "least" if measure.extreme == "least" else "greatest",
-        down.name,
-        across.name,
-        down.labels,
-        across.labels,
-        [
-            _Cell(row, column, *_worst(cells[row, column], folder, measure, span))
-            for row in range(len(down.labels))
-            for column in range(len(across.labels))
-            if cells[row, column]
-        ],
-    )
+    found = [_Cell(row, column, *_worst(of_cell, folder, measure, span)) for (row, column), of_cell in sorted(cells.items())]
+    return _HeatMap(measure, down, across, found)
 
 
 def _worst(
