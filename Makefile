@@ -73,7 +73,7 @@ soak: venv ## Run a server with clients for half an hour, and check that nothing
 
 search: venv ## Try 10,000 random sequences of world operations, for crashes and for damage to the physics space
 	@mkdir -p build
-	$(python) -X faulthandler -m tests.sim.sequences --random --trace build/operations.txt
+	$(python) -uX faulthandler -m tests.sim.sequences 10000 random > build/operations.txt
 
 demo: $(if $(shell test .venv/stamp -nt pyproject.toml && echo yes),venv,.venv/demo-stamp) ## Simulate and record a crash, query it, film it, and make its incident page
 	PATH="$(CURDIR)/.venv/bin:$$PATH" samples/demo.sh

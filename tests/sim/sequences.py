@@ -1,26 +1,25 @@
 """Random sequences of world operations, with the invariants of the physics space checked after each operation.
 
-`python -X faulthandler -m tests.sim.sequences --examples 10000` searches; a segmentation fault ends the process, and the
-file of `--trace` then holds the operations of the sequence that caused it. `tests/sim/test_stateful.py` runs a few dozen
-sequences in a process of their own.
+`python -uX faulthandler -m tests.sim.sequences 10000 random` searches, and prints each operation that it has done: after the
+last ones, faulthandler says which one a segmentation fault has ended. `tests/sim/test_stateful.py` runs a few sequences.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
+import sys
 import tempfile
-import time
+from collections.abc import Iterator
 from contextlib import suppress
 from copy import copy
-from functools import wraps
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import pymunk
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, Phase, Verbosity, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
@@ -32,21 +31,15 @@ from carla_recap.sim.actors.triggers import FrictionTrigger
 from carla_recap.sim.episode import Actor, Spectator
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.town.loading import load_town
+from carla_recap.sim.physics.moving_bodies import MovingBodies
+from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from carla_recap.sim.physics.moving_bodies import MovingBodies
-    from carla_recap.sim.town.loading import Town
 
 VEHICLES: Final = ("vehicle.audi.tt", "vehicle.bh.crossbike", "vehicle.carlamotors.firetruck")
 WALKERS: Final = ("walker.pedestrian.0001", "walker.pedestrian.0012")
 PROPS: Final = ("static.prop.container", "static.prop.trafficcone01", "static.prop.streetbarrier", "static.trigger.friction")
 SENSORS: Final = ("sensor.other.collision", "sensor.camera.rgb", "sensor.other.v2x")
 HEIGHTS: Final = (0.0, 0.0, 0.3, 5.0, -500.0)  # m
-PROGRESS: Final = 500
 MOST: Final = 60  # actors at a time
 NEAR: Final = 0.01  # m
 
@@ -54,20 +47,46 @@ actors = st.integers(0, 10_000)  # counts modulo the number of actors
 indices = st.integers(0, 40)
 heights = st.sampled_from(HEIGHTS)
 flags = st.booleans()
+rarely = st.sampled_from((False, False, False, False, True))
 
 
-def step(**values: Any) -> Any:
-    """Make a method a rule, which writes its name and what is drawn for it to the trace."""
+def shove(car: Vehicle, size: float, add: Any) -> None:
+    with suppress(SimError):  # 1e6 N s are refused for a bicycle
+        add(car, Vector(size, -size, 0.0))
 
-    def decorate(method: Any) -> Any:
-        @wraps(method)
-        def noted(self: WorldMachine, **drawn: Any) -> None:
-            self.note(method.__name__, *drawn.values())
-            method(self, **drawn)
 
-        return rule(**values)(noted)
+def shift(car: Vehicle, gears: int, gear: int) -> None:
+    """Give a vehicle another gearbox, and a gear that it may lack in the next one."""
+    control = car.physics_control
+    control.forward_gears = [copy(control.forward_gears[0]) for _ in range(gears)]
+    car.physics_control = control
+    car.apply_control(VehicleControl(1.0, manual_gear_shift=True, gear=min(gear, gears)))
 
-    return decorate
+
+SWITCH: Final = (False, True)
+ACTIONS: Final[dict[str, tuple[Any, tuple[Any, ...], Any]]] = {
+    "physics": (MovingActor, SWITCH, MovingActor.set_simulate_physics),
+    "collisions": ((MovingActor, Prop), SWITCH, lambda actor, enabled: actor.set_collisions(enabled)),
+    "gravity": (MovingActor, SWITCH, MovingActor.set_enable_gravity),
+    "autopilot": (Vehicle, SWITCH, Vehicle.set_autopilot),
+    "push": (MovingActor, (-5.0, 0.0, 20.0, 90.0), lambda actor, v: actor.set_target_velocity(Vector(v, 0.5 * v))),
+    "impulse": (Vehicle, (-2e4, 10.0, 1e6), lambda car, size: shove(car, size, Vehicle.add_impulse)),
+    "force": (Vehicle, (-2e4, 10.0, 1e6), lambda car, size: shove(car, size, Vehicle.add_force)),
+    "fall": (Walker, (None,), lambda walker, _: walker.rows.fall(walker.row)),
+    "shift": (Vehicle, tuple(itertools.product((1, 2, 6, 12), (-1, 0, 1, 6, 12))), lambda car, both: shift(car, *both)),
+    "drive": (
+        Vehicle,
+        tuple(itertools.product((0.0, 1.0), (-1.0, 0.0), (0.0,), (False,), SWITCH)),
+        lambda car, values: car.apply_control(VehicleControl(*values)),
+    ),
+    "walk": (Walker, (0.0, 1.0), lambda walker, ahead: walker.apply_control(WalkerControl(Vector(ahead, -1.0), 2.0))),
+    "mass": (
+        Vehicle,
+        (100.0, 9000.0),
+        lambda car, mass: setattr(car, "physics_control", replace(car.physics_control, mass=mass)),
+    ),
+}
+"""What may be done to actors: of which kinds, with one of which values, and how."""
 
 
 class WorldMachine(RuleBasedStateMachine):
@@ -75,28 +94,23 @@ class WorldMachine(RuleBasedStateMachine):
 
     town: ClassVar[Town]
     recording: ClassVar[Path]
-    trace: ClassVar[Path | None] = None
     sequences: ClassVar[int] = 0
 
     @initialize(seed=st.integers(0, 3), cars=st.integers(0, 12))
     def begin(self, seed: int, cars: int) -> None:
         WorldMachine.sequences += 1
-        if self.sequences % PROGRESS == 0:
-            print(f"{self.sequences} sequences", flush=True)
-        if self.trace is not None:
-            self.trace.write_text(f"begin {seed} {cars}\n")
         self.world = World(self.town, seed=seed)
         for index in range(cars):
             self.world.place("vehicle.audi.tt", self.place_at(2 * index, 0.0, 0.0))
 
     # --- operations ---------------------------------------------------------------------------------------------------
 
-    @step(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS), index=indices, z=heights, yaw=st.sampled_from((0.0, 30.0)))
+    @rule(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS), index=indices, z=heights, yaw=st.sampled_from((0.0, 30.0)))
     def spawn(self, blueprint: str, index: int, z: float, yaw: float) -> None:
         if len(self.world.actors) < self.fewest + MOST:
             self.world.try_spawn(blueprint, self.place_at(index, z, yaw))
 
-    @step(
+    @rule(
         blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS),
         index=indices,
         count=st.integers(2, 12),
@@ -110,13 +124,13 @@ class WorldMachine(RuleBasedStateMachine):
                 place.location.y += turn * gap
                 self.world.place(blueprint, place)
 
-    @step(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS + SENSORS), parent=actors)
+    @rule(blueprint=st.sampled_from(VEHICLES + WALKERS + PROPS + SENSORS), parent=actors)
     def attach(self, blueprint: str, parent: int) -> None:
         actor = self.pick(parent)
         if actor is not None and len(self.world.actors) < self.fewest + MOST:
             self.world.spawn(blueprint, Transform(Location(0.5, 0.0, 2.0)), parent=actor)
 
-    @step(blueprint=st.sampled_from(VEHICLES + PROPS), parent=actors, length=st.sampled_from((2, 30)))
+    @rule(blueprint=st.sampled_from(VEHICLES + PROPS), parent=actors, length=st.sampled_from((2, 30)))
     def attach_chain(self, blueprint: str, parent: int, length: int) -> None:
         """Attach actors, each to the one before."""
         actor = self.pick(parent)
@@ -124,118 +138,55 @@ class WorldMachine(RuleBasedStateMachine):
             if actor is not None and len(self.world.actors) < self.fewest + MOST:
                 actor = self.world.spawn(blueprint, Transform(Location(0.5, 0.0, 0.1), Rotation(yaw=5.0)), parent=actor)
 
-    @step(index=indices, friction=st.sampled_from(("0.0", "3.5f", "nonsense")), extent=st.sampled_from(("0", "500", "1e9")))
+    @rule(index=indices, friction=st.sampled_from(("0.0", "3.5f", "nonsense")), extent=st.sampled_from(("0", "500", "1e9")))
     def trigger(self, index: int, friction: str, extent: str) -> None:
         if len(self.world.actors) < self.fewest + MOST:
             size = dict.fromkeys(("extent_x", "extent_y", "extent_z"), extent)
             self.world.place("static.trigger.friction", self.place_at(index, 0.0, 0.0), friction=friction, **size)
 
-    @step(actor=actors)
+    @rule(actor=actors)
     def destroy(self, actor: int) -> None:
         if (found := self.pick(actor)) is not None:
             assert found.destroy()
             assert not found.destroy()
 
-    @step(order=st.randoms(use_true_random=False), share=st.sampled_from((0.5, 1.0)))
+    @rule(order=st.randoms(use_true_random=False), share=st.sampled_from((0.5, 1.0)))
     def destroy_many(self, order: Any, share: float) -> None:
         found = list(self.spawned())
         order.shuffle(found)
         for actor in found[: round(share * len(found))]:
             actor.destroy()
 
-    @step(actor=actors, enabled=flags)
-    def simulate_physics(self, actor: int, enabled: bool) -> None:
-        if isinstance(found := self.pick(actor), MovingActor):
-            found.set_simulate_physics(enabled)
-
-    @step(enabled=flags)
-    def simulate_physics_of_all_but_one(self, enabled: bool) -> None:
-        for actor in list(self.movers())[1:]:
-            actor.set_simulate_physics(enabled)
-
-    @step(actor=actors, enabled=flags)
-    def collide(self, actor: int, enabled: bool) -> None:
-        if isinstance(found := self.pick(actor), (MovingActor, Prop)):
-            found.set_collisions(enabled)
-
-    @step(actor=actors, index=indices, z=heights)
+    @rule(actor=actors, index=indices, z=heights)
     def teleport(self, actor: int, index: int, z: float) -> None:
         if (found := self.pick(actor)) is not None:
             found.transform = self.place_at(index, z, 10.0)
 
-    @step(actor=actors, other=actors)
+    @rule(actor=actors, other=actors)
     def teleport_onto(self, actor: int, other: int) -> None:
         found, upon = self.pick(actor), self.pick(other)
         if found is not None and upon is not None:
             found.transform = upon.transform
 
-    @step(actor=actors, speed=st.sampled_from((-5.0, 0.0, 20.0, 90.0)))
-    def push(self, actor: int, speed: float) -> None:
-        if isinstance(found := self.pick(actor), MovingActor):
-            found.set_target_velocity(Vector(speed, 0.5 * speed))
+    @rule(acts=st.lists(st.tuples(actors, st.sampled_from(sorted(ACTIONS)), actors, rarely), min_size=1, max_size=4))
+    def act(self, acts: list[tuple[int, str, int, bool]]) -> None:
+        for actor, name, choice, is_for_all in acts:
+            kinds, values, do = ACTIONS[name]
+            for each in list(self.spawned())[1:] if is_for_all else [self.pick(actor)]:
+                if isinstance(each, kinds):
+                    do(each, values[choice % len(values)])
 
-    @step(actor=actors, impulse=st.sampled_from((-2e4, 10.0, 1e6)), force=flags)
-    def shove(self, actor: int, impulse: float, force: bool) -> None:
-        if isinstance(found := self.pick(actor), Vehicle):
-            with suppress(SimError):  # 1e6 N s are refused for a bicycle
-                (found.add_force if force else found.add_impulse)(Vector(impulse, -impulse, 0.0))
-
-    @step(actor=actors, enabled=flags)
-    def weightless(self, actor: int, enabled: bool) -> None:
-        if isinstance(found := self.pick(actor), MovingActor):
-            found.set_enable_gravity(enabled)
-
-    @step(actor=actors)
-    def fall(self, actor: int) -> None:
-        if isinstance(found := self.pick(actor), Walker):
-            found.rows.fall(found.row)
-
-    @step(actor=actors, gears=st.integers(1, 12), gear=st.integers(-1, 12))
-    def shift(self, actor: int, gears: int, gear: int) -> None:
-        """Give a vehicle another gearbox, and a gear that it may lack in the next one."""
-        if isinstance(found := self.pick(actor), Vehicle):
-            control = found.physics_control
-            control.forward_gears = [copy(control.forward_gears[0]) for _ in range(gears)]
-            found.physics_control = control
-            found.apply_control(VehicleControl(1.0, manual_gear_shift=True, gear=min(gear, gears)))
-
-    @step(actor=actors, throttle=st.sampled_from((0.0, 1.0)), steer=st.sampled_from((-1.0, 0.0)), reverse=flags)
-    def control(self, actor: int, throttle: float, steer: float, reverse: bool) -> None:
-        found = self.pick(actor)
-        if isinstance(found, Vehicle):
-            found.apply_control(VehicleControl(throttle, steer, 0.0, reverse=reverse))
-        elif isinstance(found, Walker):
-            found.apply_control(WalkerControl(Vector(throttle, steer), 2.0))
-
-    @step(actor=actors, mass=st.sampled_from((100.0, 9000.0)))
-    def weigh(self, actor: int, mass: float) -> None:
-        if isinstance(found := self.pick(actor), Vehicle):
-            control = found.physics_control
-            control.mass = mass
-            found.physics_control = control
-
-    @step(actor=actors, enabled=flags)
-    def autopilot(self, actor: int, enabled: bool) -> None:
-        if isinstance(found := self.pick(actor), Vehicle):
-            found.set_autopilot(enabled)
-
-    @step(enabled=flags)
-    def autopilot_for_all(self, enabled: bool) -> None:
-        for actor in self.movers():
-            if isinstance(actor, Vehicle):
-                actor.set_autopilot(enabled)
-
-    @step(actor=actors, index=indices)
+    @rule(actor=actors, index=indices)
     def walk_to(self, actor: int, index: int) -> None:
         if isinstance(found := self.pick(actor), Walker):
             found.destination = self.place_at(index, 0.0, 0.0).location
 
-    @step(count=st.sampled_from((1, 1, 2, 5)), delta=st.sampled_from((0.05, 0.05, 0.01, 0.5)))
+    @rule(count=st.sampled_from((1, 1, 2, 5)), delta=st.sampled_from((0.05, 0.05, 0.01, 0.5)))
     def tick(self, count: int, delta: float) -> None:
         for _ in range(count):
             self.world.tick(delta)
 
-    @step()
+    @rule()
     def sleep(self) -> None:
         """Let bodies come to rest and fall asleep, while one moves: there are no steps in a world where nothing moves."""
         for _ in range(20):
@@ -243,23 +194,23 @@ class WorldMachine(RuleBasedStateMachine):
                 mover.set_target_velocity(Vector(1.0))
             self.world.tick(0.05)
 
-    @step(substepping=flags)
+    @rule(substepping=flags)
     def substep(self, substepping: bool) -> None:
         self.world.settings.substepping = substepping
 
-    @step()
+    @rule()
     def reload(self) -> None:
         before = list(self.world.actors.values())
         self.world.reload()
         assert not any(actor.is_alive for actor in before)
 
-    @step(start=st.sampled_from((0.0, 1.0)), factor=st.sampled_from((1.0, 0.0, 3.0)), sensors=flags)
+    @rule(start=st.sampled_from((0.0, 1.0)), factor=st.sampled_from((1.0, 0.0, 3.0)), sensors=flags)
     def replay(self, start: float, factor: float, sensors: bool) -> None:
         self.world.replayer.time_factor = factor
         self.world.replay_file(self.recording, start, 0.0, None, sensors)
 
     @precondition(lambda self: self.world.episode.replayed is not None)
-    @step(keep=flags)
+    @rule(keep=flags)
     def stop_replay(self, keep: bool) -> None:
         self.world.stop_replayer(keep)
 
@@ -360,14 +311,8 @@ class WorldMachine(RuleBasedStateMachine):
         place = point.location
         return Transform(Location(place.x, place.y, place.z + z), Rotation(yaw=point.rotation.yaw + yaw))
 
-    def note(self, *operation: object) -> None:
-        if self.trace is not None:
-            with self.trace.open("a") as file:
-                print(*operation, file=file)
-
     def teardown(self) -> None:
         if hasattr(self, "world"):
-            self.note("end")
             self.world.close()
 
 
@@ -388,7 +333,6 @@ def record(town: Town, path: Path) -> Path:
     world.spawn("static.prop.trafficcone01", town.spawn_points[50])
     world.spawn("sensor.camera.rgb", Transform(Location(1.0)), parent=cars[0])
     for car in cars:
-        assert isinstance(car, Vehicle)
         car.set_autopilot()
     world.run(2.0)
     cars[1].destroy()
@@ -399,40 +343,17 @@ def record(town: Town, path: Path) -> Path:
     return path
 
 
-def run(examples: int, steps: int, trace: Path | None = None, *, random: bool = False) -> int:
-    """Run sequences of operations; returns how many there were."""
+def run(examples: int, *, random: bool) -> int:
+    """Run sequences of operations; return how many there were."""
     with tempfile.TemporaryDirectory() as folder:
         WorldMachine.town = reduced(load_town())
         WorldMachine.recording = record(WorldMachine.town, Path(folder) / "traffic.log")
-        WorldMachine.trace = trace
-        WorldMachine.sequences = 0
-        run_state_machine_as_test(
-            WorldMachine,
-            settings=settings(
-                max_examples=examples,
-                stateful_step_count=steps,
-                derandomize=not random,
-                database=None,
-                deadline=None,
-                suppress_health_check=list(HealthCheck),
-                phases=(Phase.generate, Phase.shrink),
-                report_multiple_bugs=False,
-            ),
-        )
+        options = {"derandomize": not random, "database": None, "deadline": None, "verbosity": Verbosity.debug}
+        checks, phases = list(HealthCheck), (Phase.generate, Phase.shrink)
+        searching = settings(max_examples=examples, stateful_step_count=30, phases=phases, **options)
+        run_state_machine_as_test(WorldMachine, settings=settings(searching, suppress_health_check=checks))
     return WorldMachine.sequences
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.sim.sequences", description=__doc__)
-    parser.add_argument("--examples", type=int, default=10_000, help="number of sequences (default: %(default)s)")
-    parser.add_argument("--steps", type=int, default=30, help="operations in each at most (default: %(default)s)")
-    parser.add_argument("--trace", type=Path, help="file for the operations of the latest sequence")
-    parser.add_argument("--random", action="store_true", help="other sequences in every run")
-    options = parser.parse_args()
-    start = time.monotonic()
-    count = run(options.examples, options.steps, options.trace, random=options.random)
-    print(f"{count} sequences in {time.monotonic() - start:.0f} s: no crash, and all invariants hold")
-
-
 if __name__ == "__main__":
-    main()
+    print(f"{run(int(sys.argv[1]), random='random' in sys.argv)} sequences: no crash, and all invariants hold")
