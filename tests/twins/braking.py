@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from carla_recap.model.frame import Frame
 from tests.twins.motion import FAULTY, belongs, velocities
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from carla_recap.model.frame import Frame
 
 Interval = tuple[int, float, float, float]
 """The vehicle, the start, the end, and the greatest deceleration that tyres can do; NaN if they can do nothing of it."""

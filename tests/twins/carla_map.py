@@ -3,58 +3,43 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from typing import TYPE_CHECKING, Any
+import os
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 
 from carla_recap.roads.landmarks import find_landmarks
-
-if TYPE_CHECKING:
-    from carla_recap.roads.lanes import LaneGeometry, TownRoads
+from carla_recap.roads.lanes import LaneGeometry, TownRoads
 
 Place = tuple[int, int, float, float]
 """The road, the lane and the station of a waypoint, and how far beyond it the next and the previous ones are."""
 
 
 class CarlaLibrary:
-    """A process that reads maps with CARLA's library."""
+    """A process that reads maps with CARLA's library, which aborts it at some."""
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[str] | None = None
+        self._pool: ProcessPoolExecutor | None = None
 
     def ask(self, text: str, places: list[Place]) -> dict[str, Any] | None:
         """Return what the library says about a map and about places on it; None if it cannot read the map."""
-        if self._process is None:
-            self._process = subprocess.Popen(
-                [sys.executable, __file__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                encoding="utf-8",
-            )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps((text, places)) + "\n")
-        self._process.stdin.flush()
-        answer = self._process.stdout.readline()
-        if not answer:  # aborted
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=_silence)
+        try:
+            facts: dict[str, Any] | None = json.loads(self._pool.submit(facts_of, text, places).result())
+        except BrokenProcessPool:
             self.close()
             return None
-        facts: dict[str, Any] | None = json.loads(answer)
         return facts
 
     def close(self) -> None:
         """End the process."""
-        if self._process is not None:
-            assert self._process.stdin is not None
-            assert self._process.stdout is not None
-            self._process.stdin.close()
-            self._process.wait()
-            self._process.stdout.close()
-            self._process = None
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
 
 
 _CHANGES = {(False, False): "NONE", (True, False): "Left", (False, True): "Right", (True, True): "Both"}
@@ -168,15 +153,27 @@ def _differing_landmarks(roads: TownRoads, theirs: list[Any]) -> Any:
             yield "landmark", one, other
 
 
-def facts(town: Any, places: list[Place]) -> dict[str, Any]:
-    """Return what `carla.Map` says, in right-handed axes."""
-    return {
+def _silence() -> None:
+    for output in (1, 2):  # the library prints
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+
+
+def facts_of(text: str, places: list[Place]) -> str:
+    """Return what `carla.Map` says, in right-handed axes, as JSON; null if it cannot read the map."""
+    import carla
+
+    try:
+        town: Any = carla.Map("", text)
+    except RuntimeError:
+        return "null"
+    facts = {
         "waypoints": [_waypoint(town.get_waypoint_xodr(*place), beyond) for *place, beyond in places],
         "driving": list(dict.fromkeys(_name(point) for point in town.generate_waypoints(0.5))),
         "topology": sorted({(_name(one), _name(other)) for one, other in town.get_topology()}),
         "landmarks": sorted(_landmark(mark) for mark in town.get_all_landmarks()),
         "crossings": [_position(corner) for corner in town.get_crosswalks()],
     }
+    return json.dumps(facts)
 
 
 def _name(point: Any) -> tuple[int, int, int]:
@@ -220,23 +217,3 @@ def _landmark(mark: Any) -> tuple[Any, ...]:
         _position(mark.transform.location),
         -mark.transform.rotation.yaw,
     )
-
-
-def _main() -> None:
-    import os
-
-    import carla
-
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # the library prints
-    for line in sys.stdin:
-        text, places = json.loads(line)
-        try:
-            answer = facts(carla.Map("", text), places)
-        except RuntimeError:
-            answer = None
-        print(json.dumps(answer), file=answers, flush=True)
-
-
-if __name__ == "__main__":
-    _main()

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from carla_recap.util.arrays import Floats
+from carla_recap.util.arrays import Floats
 
 STEPS = 20_000
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from carla_recap.model.lives import ActorLives
+from carla_recap.formats.base import Reader
+from carla_recap.model.lives import ActorLife, ActorLives
 from carla_recap.queries.recorded_actors import actors
-
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
-    from carla_recap.model.lives import ActorLife
 
 SAME_TIME = 1e-6
 JUMP, TOP_SPEED = 5.0, 100.0  # m, m/s
@@ -33,23 +30,11 @@ class Drive:
             self.elapsed.append(frame.elapsed)
             self.durations.append(frame.duration)
             self.clock.append(max(frame.elapsed, *self.clock[-1:]) if self.clock else frame.elapsed)
-            poses: dict[str, Pose] = {}
-            states: dict[str, int] = {}
-            for packet in frame.packets:
-                if packet.type is not None and packet.type.name == "transforms":
-                    for row in packet.records:
-                        poses[role(lives, row["id"], frame.elapsed)] = tuple(float(row[f]) for f in ("x", "y", "z", "yaw"))
-                if packet.type is not None and packet.type.name == "light_states":
-                    for row in packet.records:
-                        states[role(lives, row["id"], frame.elapsed)] = int(row["state"])
-            self.poses.append(poses)
-            self.states.append(states)
-
-
-def role(lives: ActorLives, id: int, time: float) -> str:
-    life = lives.at(int(id), time)
-    assert life is not None
-    return life.role_name
+            roles = {id: life.role_name for id in lives.ids() if (life := lives.at(id, frame.elapsed))}
+            self.poses.append(
+                {roles[row["id"]]: tuple(map(float, row[["x", "y", "z", "yaw"]].item())) for row in frame["transforms"]}
+            )
+            self.states.append({roles[row["id"]]: int(row["state"]) for row in frame["light_states"]})
 
 
 def around(a: Drive, number: int, b: Drive) -> tuple[int, int] | None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import atan2, cos, sin, tau
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hypothesis import strategies as st
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Draw = Callable[[st.SearchStrategy[Any]], Any]
+Draw = Callable[[st.SearchStrategy[Any]], Any]
 
 KINDS = ("driving", "driving", "driving", "parking", "shoulder", "sidewalk", "none", "biking", "bidirectional", "median")
 CHANGES = ("none", "increase", "decrease", "both", None)

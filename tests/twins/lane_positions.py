@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from carla_recap.roads.network import BOTH_WAYS, DRIVING, REACH
-
-if TYPE_CHECKING:
-    from carla_recap.roads.network import RoadNetwork
+from carla_recap.roads.network import BOTH_WAYS, DRIVING, REACH, RoadNetwork
 
 _LEVELS = 3.0  # m
 _AGAINST = 1.5  # m

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from carla_recap.model.layout import PayloadError, unpack
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from carla_recap.model.records import RecordType
+from carla_recap.model.records import RecordType
 
 
 @dataclass

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap.formats.mcap.codec import message_class
 from carla_recap.model.layout import Framing, Layout, Many, pack, unpack
-from carla_recap.model.records import UE4, UE5
-
-if TYPE_CHECKING:
-    from carla_recap.model.records import RecordType
+from carla_recap.model.records import UE4, UE5, RecordType
 
 TYPES = [
     type

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
+from carla_recap.formats.base import Reader
 
 Row = tuple[float, float, int, str, tuple[float, ...]]
 """The start, the duration, the id, the blueprint, and the position."""
