@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.episode import Collision
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.junctions import Junction, Signal, SignalKind
 from carla_recap.sim.town.lanes import NO_LANE, Lane
@@ -14,32 +16,15 @@ from carla_recap.sim.town.loading import Town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from carla_recap.sim.world import World
 
-if TYPE_CHECKING:
-    from carla_recap.sim.episode import Collision
-
 LENGTH = 8000.0
 
 
 def lane(index: int = 0, y: float = 0.0, junction: int | None = None) -> Lane:
     x = np.linspace(0.0, LENGTH, 1601)
-    points = np.stack((x, np.full(len(x), y), np.zeros(len(x))), axis=1)
+    none, beside = np.zeros(len(x)), np.full(len(x), NO_LANE)
+    points, own = np.stack((x, none + y, none), axis=1), (index,)
     return Lane(
-        index=index,
-        road_id=1,
-        section=0,
-        lane_id=-1 - index,
-        points=points,
-        s=x,
-        heading=np.zeros(len(x)),
-        width=3.5,
-        limits=np.full(len(x), 14.0),
-        successors=(index,),
-        predecessors=(index,),
-        left=np.full(len(x), NO_LANE),
-        right=np.full(len(x), NO_LANE),
-        junction=junction,
-        turn="straight",
-        reverse=False,
+        index, 1, 0, -1 - index, False, points, x, none, 3.5, none + 14, own, own, beside, beside, junction, "straight"
     )
 
 
@@ -52,23 +37,15 @@ def light(index: int, lanes: tuple[int, ...], y: float = 3.0) -> Signal:
 def flat_town(
     *,
     lanes: list[Lane] | None = None,
-    signals: list[Signal] | None = None,
+    signals: Sequence[Signal] = (),
     phases: tuple[tuple[int, ...], ...] = (),
-    barriers: list[Any] | None = None,
+    junctions: Sequence[Junction] = (),
+    barriers: Sequence[Any] = (),
     walks: WalkwayGraph | None = None,
 ) -> Town:
-    nowhere = WalkwayGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
-    return Town(
-        name="Flat",
-        opendrive="",
-        lanes=lanes or [lane()],
-        signals=signals or [],
-        junctions=[Junction(1, (), (), phases)] if phases else [],
-        sidewalks=[],
-        crossings=[],
-        walks=walks or nowhere,
-        barriers=barriers or [],
-    )
+    ways = walks or WalkwayGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
+    all = [Junction(1, (), (), phases)] if phases else list(junctions)
+    return Town("Flat", "", lanes or [lane()], list(signals), all, [], [], ways, list(barriers))
 
 
 def flat_world(**town: Any) -> World:
@@ -89,16 +66,13 @@ def spawn_car(
 ) -> Vehicle:
     """Spawn a vehicle that drives ahead at a speed in m/s."""
     actor = world.spawn(name, place, **attributes)
-    assert isinstance(actor, Vehicle)
     if speed:
         actor.set_target_velocity(place.forward() * speed)
     return actor
 
 
 def spawn_walker(world: World, place: Transform, name: str = "walker.pedestrian.0001") -> Walker:
-    actor = world.spawn(name, place)
-    assert isinstance(actor, Walker)
-    return actor
+    return world.spawn(name, place)
 
 
 def collisions(world: World, seconds: float) -> list[Collision]:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from carla_recap.sim.town.lanes import NO_LANE, Lane
 from carla_recap.sim.town.loading import Town
-from carla_recap.sim.town.sidewalks import WalkwayGraph
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from carla_recap.sim.town.junctions import Junction, Signal
-    from carla_recap.sim.town.lanes import Turn
+from tests.sim.flat import flat_town
 
 LIMIT = 12.0  # m/s
 
@@ -27,7 +22,7 @@ def lane(
     yaw: float = 0.0,
     successors: tuple[int, ...] = (),
     junction: int | None = None,
-    turn: Turn = "straight",
+    turn: str = "straight",
     left: int | None = None,
     right: int | None = None,
     changes: tuple[float, float] = (0.0, np.inf),
@@ -58,12 +53,10 @@ def ring(*pieces: tuple[float, float], start: tuple[float, float] = (0.0, 0.0)) 
     return [first, lane(1, *pieces, start=(x, y), yaw=float(np.degrees(first.heading[-1])), successors=(0,))]
 
 
-def small_town(lanes: Sequence[Lane], *, signals: Sequence[Signal] = (), junctions: Sequence[Junction] = ()) -> Town:
+def small_town(lanes: Sequence[Lane], **others: Any) -> Town:
     """A town of lanes, which get to know their predecessors."""
     before: list[list[int]] = [[] for _ in lanes]
     for one in lanes:
         for other in one.successors:
             before[other].append(one.index)
-    linked = [replace(one, predecessors=tuple(before[one.index])) for one in lanes]
-    walks = WalkwayGraph(np.empty((0, 3)), np.empty((0, 2), np.int64), np.empty(0, np.bool_))
-    return Town("Small", "", linked, list(signals), list(junctions), [], [], walks, [])
+    return flat_town(lanes=[replace(one, predecessors=tuple(before[one.index])) for one in lanes], **others)

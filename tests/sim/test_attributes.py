@@ -5,13 +5,9 @@ from __future__ import annotations
 import csv
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from carla_recap.sim.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
-from carla_recap.sim.blueprints import standard_library
-
-if TYPE_CHECKING:
-    from carla_recap.sim.blueprints import Blueprint
+from carla_recap.sim.blueprints import Blueprint, standard_library
 
 READERS = ({"true": True, "false": False}.__getitem__, int, float, str, lambda text: tuple(map(int, text.split(","))))
 LIBRARY = standard_library()

@@ -12,19 +12,6 @@ class Table(StructOfArrays):
     place: Any = column(np.zeros(2))
 
 
-def test_rows_are_added_and_removed() -> None:
-    table = Table()
-    for number in range(40):
-        assert table.append_row(id=number, place=(number, -number)) == number
-    table.remove_row(3)
-    table.remove_row(0)
-    assert table.append_row(id=100) == 38
-    assert len(table) == 39
-    assert table.id.tolist() == [1, 2, *range(4, 40), 100]
-    assert table.place[:2].tolist() == [[1, -1], [2, -2]]
-    assert table.place[-1].tolist() == [0, 0]
-
-
 def test_an_array_that_is_held_keeps_its_rows() -> None:
     table = Table()
     table.append_row(id=1)

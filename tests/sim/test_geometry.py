@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carla_recap.replay.pose import attach
-from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
+from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.recording.packets import pose, transform
 
 
@@ -22,13 +22,6 @@ def test_a_transform_agrees_with_carla() -> None:
     moved, forward = ours.transform(Location(4, 5, 6)), ours.forward()
     assert (moved.x, moved.y, moved.z) == pytest.approx((place.x, place.y, place.z), abs=1e-5)
     assert (forward.x, forward.y, forward.z) == pytest.approx((ahead.x, ahead.y, ahead.z), abs=1e-6)
-
-
-def test_transforms_do_not_share_their_parts() -> None:
-    first, second = Transform(), Transform()
-    first.location.x = 5
-    assert second.location.x == 0
-    assert Box(Location(z=1), Vector(2, 1, 1)).extent.x == 2
 
 
 def test_an_attached_transform_is_that_of_a_replay() -> None:

@@ -50,17 +50,6 @@ def test_the_hero_hits_the_walker_and_then_the_van(crash):
     assert actors.walker.has_fallen
 
 
-def test_the_recording_has_every_collision_of_the_world(crash):
-    _, seen, path = crash
-    with carla_recap.open_recording(path) as recording:
-        found = [
-            (frame.id, row["actor1"], row["actor2"], bool(row["hero1"]), bool(row["hero2"]))
-            for frame in recording
-            for row in frame["collisions"]
-        ]
-    assert found == seen
-
-
 def test_queries_find_the_collisions(crash):
     actors, seen, path = crash
     first = {}

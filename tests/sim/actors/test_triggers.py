@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import gc
 import weakref
-from typing import TYPE_CHECKING
 
 import pytest
 
+from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_world, spawn_car
-
-if TYPE_CHECKING:
-    from carla_recap.sim.actors.moving import Vehicle
-    from carla_recap.sim.world import World
 
 TRIGGER = "static.trigger.friction"
 

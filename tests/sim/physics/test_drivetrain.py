@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import exp, pi
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +15,9 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.physics.physics_control import WHEEL, Gear, parameters
+from carla_recap.sim.world import World
 from tests.samples import carla_log
 from tests.sim.flat import at, flat_world, spawn_car
-
-if TYPE_CHECKING:
-    from types import ModuleType
-
-    from carla_recap.sim.world import World
 
 RADIUS = 0.37  # m, of the Tesla's wheels
 WHEELS = 4 * 0.5 * 20.0  # kg: what the inertia of four wheels of 20 kg adds to the mass

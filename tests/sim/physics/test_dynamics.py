@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from math import hypot, radians, tan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +13,8 @@ import pytest
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.blueprints import known_physics, standard_library
 from carla_recap.sim.geometry import Vector
+from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_world, spawn_car
-
-if TYPE_CHECKING:
-    from carla_recap.sim.world import World
 
 KMH = 1 / 3.6
 
@@ -187,7 +185,10 @@ def test_without_physics_it_stays_where_it_is_put() -> None:
     car = vehicle(world, "tesla.model3")
     car.set_simulate_physics(False)
     car.apply_control(VehicleControl(throttle=1.0))
-    world.run(1)
+    for _ in range(20):
+        car.add_force(Vector(1e5))
+        car.add_impulse(Vector(1e4))
+        world.tick()
     assert car.transform.location.x == 10
     car.transform = at(50.0, 3.0, yaw=30.0, z=7.0)
     world.run(1)
@@ -196,7 +197,7 @@ def test_without_physics_it_stays_where_it_is_put() -> None:
     car.set_simulate_physics(True)
     world.run(1)
     assert car.transform.location.z == 0
-    assert car.transform.location.x > 52
+    assert 52 < car.transform.location.x < 58  # the pushes before have no effect
 
 
 def rebuilt(car: Vehicle, *, drag: float = 0.0, **values: float | list[float]) -> None:
@@ -212,7 +213,6 @@ def rebuilt(car: Vehicle, *, drag: float = 0.0, **values: float | list[float]) -
 def test_vehicles_have_four_wheels_or_more_and_those_whose_brakes_are_unknown_brake_with_1_g() -> None:
     for blueprint in flat_world().blueprints.filter("vehicle.*"):
         physics = blueprint.physics
-        assert physics is not None
         assert len(physics.wheels) >= 4
         assert [wheel.max_steer_angle > 0 for wheel in physics.wheels[:4]] == [True, True, False, False]
         deceleration = sum(100 * wheel.max_brake_torque / wheel.radius for wheel in physics.wheels) / physics.mass
@@ -281,7 +281,6 @@ def test_soft_tyres_accelerate_and_brake_less() -> None:
 def test_a_control_that_is_not_sticky_holds_for_one_tick(sticky: str) -> None:
     world = flat_world()
     actor = world.spawn("vehicle.tesla.model3", at(10.0), sticky_control=sticky)
-    assert isinstance(actor, Vehicle)
     full = VehicleControl(throttle=1.0, steer=0.5, hand_brake=False)
     actor.apply_control(full)
     world.tick()
@@ -319,28 +318,12 @@ def test_less_friction_makes_every_vehicle_brake_later() -> None:
         assert dry < (1.0 if weak else 0.8) * wet, name
 
 
-def test_pushes_without_physics_do_not_act_later() -> None:
-    world = flat_world()
-    vehicle = spawn_car(world, at(0.0))
-    vehicle.set_simulate_physics(False)
-    for _ in range(10):
-        vehicle.add_force(Vector(1e5))
-        vehicle.add_impulse(Vector(1e4))
-        world.tick()
-    vehicle.set_simulate_physics(True)
-    world.tick()
-    assert vehicle.velocity.length() == 0.0
-    assert vehicle.transform.location.x == 0.0
-
-
 def test_vehicles_of_one_physics_control_share_their_tables() -> None:
     world = flat_world()
     first, second, other = (
         world.spawn(name, at(10.0 * number))
         for number, name in enumerate([*["vehicle.tesla.model3"] * 2, "vehicle.audi.tt"])
     )
-    assert isinstance(first, Vehicle)
-    assert isinstance(second, Vehicle)
     own, tables = world.vehicles.table, world.vehicles.tables
     assert own[0] == own[1] != own[2]
     for ratio in range(1, 50):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import pickle
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,17 +16,11 @@ from carla_recap.formats.mcap.container import ChunkedFile
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
 from carla_recap.sim import World
-from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
-from carla_recap.sim.recording.writer_process import Commands, serve
+from carla_recap.sim.recording.snapshots import SnapshotBatch
+from carla_recap.sim.recording.writer_process import Commands, RecordingWriter, serve
 from tests.sim.flat import flat_town, flat_world
 from tests.sim.recordings import frames
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from carla_recap.sim.recording.snapshots import SnapshotBatch
 
 HEADER = Header("Flat", 0)
 
@@ -73,12 +69,6 @@ def answers(*commands: tuple[Any, ...], more: bytes = b"") -> Iterator[str | Non
         yield pickle.load(said)
 
 
-def test_each_command_is_answered(tmp_path: Path) -> None:
-    commands = [("begin", tmp_path / "a.log", HEADER, True), *(("write", batch) for batch in batches(60)), ("close",)]
-    assert list(answers(*commands)) == [None] * len(commands)
-    assert len(frames(tmp_path / "a.log")) == 60
-
-
 def test_an_error_is_the_answer_and_the_next_recording_is_written(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     absent = tmp_path / "file" / "a.mcap"
@@ -110,6 +100,24 @@ def test_a_recording_without_frames_is_removed_when_the_commands_end(tmp_path: P
 
 def test_none_is_the_last_command(tmp_path: Path) -> None:
     assert list(answers(("begin", tmp_path / "a.mcap", HEADER, True), more=pickle.dumps(None) + b"x")) == [None]
+
+
+def test_an_interrupted_start_leaves_the_older_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By Ctrl-C, when the process has begun it."""
+    world, carry_out = flat_world(), RecordingWriter._command
+
+    def interrupted(self: RecordingWriter, name: str, *arguments: Any) -> None:
+        carry_out(self, name, *arguments)
+        raise KeyboardInterrupt
+
+    write(tmp_path / "a.mcap", 3)
+    monkeypatch.setattr(RecordingWriter, "_command", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        world.start_recorder(tmp_path / "a.mcap")
+    world.tick()
+    assert world.recorder.path is None
+    assert len(frames(tmp_path / "a.mcap")) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
 def test_what_is_written_before_a_disk_fails_becomes_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,8 +168,3 @@ def test_a_world_that_writes_by_itself_goes_on_when_the_disk_fails(tmp_path: Pat
     assert "no space" in str(world.recorder.error).lower()
     with pytest.warns(RecapWarning, match="was recovered without all of its events"):
         assert len(frames(tmp_path / "a.mcap")) < 400
-
-
-def test_a_world_that_writes_by_itself_needs_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(DestinationError, match="cannot be written"):
-        flat_world().recorder.start(tmp_path / "gone" / "a.mcap", in_process=True)

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-import carla_recap
 from carla_recap.model.records import NO_ACTOR, ActorKind, Spawn, attributes
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl
+from carla_recap.sim.actors.moving import VehicleControl
+from carla_recap.sim.episode import Collision
 from carla_recap.sim.geometry import Transform, Vector
+from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_world, spawn_car
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from carla_recap.sim.episode import Collision
-    from carla_recap.sim.world import World
+from tests.sim.recordings import written
 
 DELTA = 0.05
 AUDI = "vehicle.audi.tt"
@@ -122,25 +119,17 @@ def test_collisions_of_an_actor_that_is_left_out_are_none(crash: tuple[Path, dic
 def test_physics_and_replay_report_a_collision_once(crash: tuple[Path, dict[int, list[Collision]]]) -> None:
     world = replayed(crash[0])
     parked = world.actors[PARKED]
-    assert isinstance(parked, Vehicle)
     found = collisions(world, 98, lambda tick: parked.set_simulate_physics(True))
     assert found
     assert all(len({(each.actor1, each.actor2) for each in events}) == len(events) for events in found.values())
 
 
 def test_a_recorded_collision_with_a_barrier_stops_the_actor(tmp_path: Path) -> None:
-    speeds = [10.0] * 20 + [0.0] * 20  # m/s
-    car = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
-    x = 100.0
-    with carla_recap.create_recording(tmp_path / "wall.mcap", map_name="Flat", date=0) as recording:
-        for number, speed in enumerate(speeds):
-            x += speed * DELTA * 100  # cm
-            records: dict[str, Any] = {"transforms": [(7, x, 0.0, 0.0, 0.0, 0.0, 0.0)]}
-            if number == 0:
-                records["spawned"] = [car]
-            if number == 20:
-                records["collisions"] = [(0, 7, NO_ACTOR, True, False)]
-            recording.add_frame(number * DELTA, **records)
+    car = Spawn(7, ActorKind.VEHICLE, type_id=AUDI, attributes=attributes(role_name="hero"))
+    ways = [*range(50, 1050, 50), *[1000.0] * 20]  # cm: 10 m/s, and then none
+    frames: list[Any] = [{"transforms": [(7, x, 0.0, 0.0, 0.0, 0.0, 0.0)]} for x in ways]
+    frames[0]["spawned"], frames[20]["collisions"] = [car], [(0, 7, NO_ACTOR, True, False)]
+    written(tmp_path / "wall.mcap", *frames)
     world = replayed(tmp_path / "wall.mcap")
     ((tick, (event,)),) = collisions(world, 38).items()
     mass = world.vehicles.mass[0]
@@ -151,12 +140,10 @@ def test_a_recorded_collision_with_a_barrier_stops_the_actor(tmp_path: Path) -> 
 
 def with_collision(path: Path, other: int, *spawns: Spawn) -> Path:
     """Write a recording in which car 7 collides with something at 0.1 s, and that with it."""
-    car = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt")
-    with carla_recap.create_recording(path, map_name="Flat", date=0) as recording:
-        recording.add_frame(0.0, spawned=[car, *spawns], transforms=[(7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
-        recording.add_frame(0.1, collisions=[(0, 7, other, True, False), (1, other, 7, False, False)])
-        recording.add_frame(1.0)
-    return path
+    car = Spawn(7, ActorKind.VEHICLE, type_id=AUDI)
+    begin = {"spawned": [car, *spawns], "transforms": [(7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]}
+    collided = {"collisions": [(0, 7, other, True, False), (1, other, 7, False, False)]}
+    return written(path, begin, collided, *[{}] * 9, interval=0.1)
 
 
 LIGHT = Spawn(9, ActorKind.TRAFFIC_LIGHT, type_id="traffic.traffic_light")

@@ -110,18 +110,6 @@ def test_turns_in_junctions(brickfield: Town) -> None:
             assert one.turn == "straight"
 
 
-def test_lanes_beside_each_other_where_the_marks_allow_to_change(brickfield: Town) -> None:
-    pairs = [(one, brickfield.lanes[one.right[0]]) for one in brickfield.lanes if one.right[0] != NO_LANE]
-    assert len(pairs) == 6
-    for one, right in pairs:
-        assert set(one.right.tolist()) == {right.index}
-        assert set(right.left.tolist()) == {one.index}
-        assert set(one.left.tolist()) == {NO_LANE}
-        s, aside = brickfield.project([one.index], right.points[5:6, 0], right.points[5:6, 1], [5.0])
-        assert s == pytest.approx(right.s[5], abs=0.01)
-        assert aside == pytest.approx(3.5, abs=0.01)
-
-
 @pytest.mark.parametrize("rule", ["RHT", "LHT"])
 def test_a_marking_allows_changes_from_where_it_begins(tmp_path: Path, rule: str) -> None:
     marks = '<roadMark sOffset="0" laneChange="none"/><roadMark sOffset="60" laneChange="both"/>'
@@ -195,16 +183,6 @@ def test_heights_are_those_of_the_road(brickfield: Town) -> None:
     assert brickfield.height(points[:, 0] + 0.4, points[:, 1] - 0.4) == pytest.approx(points[:, 2], abs=0.1)
 
 
-def test_lanes_above_each_other_are_distinguished_by_height(tmp_path: Path) -> None:
-    below = road(1, sections=section(0, right=lane(-1)))
-    above = road(2, x=50, y=-50, heading=np.pi / 2, height=6, sections=section(0, right=lane(-1)))
-    both = made_of(tmp_path, below, above)
-    (cross,) = ({(round(x), round(y)) for x, y in both.lanes[0].points[:, :2]}) & {(52, 2)}
-    for z, expected in ((0.0, 1), (6.0, 2)):
-        lanes, _ = both.nearest_lane([cross[0]], [cross[1]], z=[z])
-        assert both.lanes[lanes[0]].road_id == expected
-
-
 def test_each_of_many_roads_above_each_other_has_its_height(tmp_path: Path) -> None:
     levels = 5.0 * np.arange(8)
     turns = enumerate(levels.tolist())
@@ -240,18 +218,6 @@ def test_every_light_is_in_one_phase_of_its_junction(any_town: Town) -> None:
     assert sorted(phased) == lights
     for junction in any_town.junctions:
         assert {any_town.signals[light].junction for phase in junction.phases for light in phase} <= {junction.id}
-
-
-def test_numbers_of_signals() -> None:
-    counts = {name: [signal.kind.value for signal in loaded(name).signals] for name in NAMES}
-    assert {name: kinds.count("light") for name, kinds in counts.items()} == {
-        BUILT_IN: 17,
-        "Town01": 36,
-        "Town02": 24,
-        "Town10HD": 17,
-    }
-    assert (counts["Town10HD"].count("stop"), counts["Town10HD"].count("yield")) == (3, 1)
-    assert (counts[BUILT_IN].count("stop"), counts[BUILT_IN].count("yield")) == (1, 1)
 
 
 def test_lights_of_one_phase_never_let_two_streams_cross_of_which_none_turns(brickfield: Town) -> None:
@@ -347,8 +313,10 @@ def test_stop_signs_yield_and_without_any_the_right_goes_first(brickfield: Town)
 def test_priorities_of_the_file_decide(tmp_path: Path) -> None:
     text = (find_map(BUILT_IN) or Path()).read_text()
     junction = text.index('<junction id="208"')
-    crossing = [(one, other) for one, other in _crossings(loaded(BUILT_IN), 208)]
-    one, other = crossing[0]
+    built_in = loaded(BUILT_IN)
+    (conflicts,) = (junction.conflicts for junction in built_in.junctions if junction.id == 208)
+    crossing = next(conflict for conflict in conflicts if not conflict.merging)
+    one, other = (built_in.lanes[lane].road_id for lane in (crossing.lane, crossing.other))
     priority = f'<priority high="{other}" low="{one}"/><connection'
     reverse = f'<priority high="{one}" low="{other}"/><connection'
     for words, yields in ((priority, True), (reverse, False)):
@@ -362,15 +330,6 @@ def test_priorities_of_the_file_decide(tmp_path: Path) -> None:
             if (ruled.lanes[conflict.lane].road_id, ruled.lanes[conflict.other].road_id) == (one, other)
         )
         assert conflict.yields is yields
-
-
-def _crossings(place: Town, id: int) -> list[tuple[int, int]]:
-    (junction,) = (junction for junction in place.junctions if junction.id == id)
-    return [
-        (place.lanes[conflict.lane].road_id, place.lanes[conflict.other].road_id)
-        for conflict in junction.conflicts
-        if not conflict.merging
-    ]
 
 
 def test_lights_without_controllers_change_with_those_opposite(tmp_path: Path) -> None:

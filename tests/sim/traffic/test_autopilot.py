@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import tracemalloc
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-import carla
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.lights import TrafficLight
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.signals import GREEN, RED, YELLOW
 from carla_recap.sim.town.junctions import Conflict, Junction, Signal, SignalKind
-from carla_recap.sim.town.loading import load_town, make_town
-from carla_recap.sim.traffic.spawning import populate
+from carla_recap.sim.town.lanes import Lane
 from carla_recap.sim.world import World
-from tests.roads.towns import mirrored
 from tests.sim.flat import at, spawn_car
 from tests.sim.lanes import LIMIT, lane, ring, small_town
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from carla_recap.sim.actors.lights import TrafficLight
-    from carla_recap.sim.town.lanes import Lane
 
 MODEL3 = "vehicle.tesla.model3"
 BRAKE, RIGHT_BLINKER, LEFT_BLINKER = 8, 16, 32
 
 
-def world_of(*lanes: Lane, signals: tuple[Signal, ...] = (), junctions: tuple[Junction, ...] = ()) -> World:
-    world = World(small_town(lanes, signals=signals, junctions=junctions), seed=3, date=0)
+def world_of(*lanes: Lane, **others: Any) -> World:
+    world = World(small_town(lanes, **others), seed=3, date=0)
     world.settings.collisions_of = "all"
     return world
 
@@ -132,35 +123,6 @@ def test_long_vehicles_meet_beside_a_narrow_bend_and_not_in_it(lead: float) -> N
     assert other.transform.location.x < 40
 
 
-def test_long_vehicles_that_are_far_apart_are_not_compared_sample_by_sample() -> None:
-    world = world_of(*(lane(i, (100, 0), start=(0.0, 150.0 * i)) for i in range(40)))
-    for i in range(40):
-        car(world, 20.0, 150.0 * i, name="vehicle.mitsubishi.fusorosa")
-    tracemalloc.start()
-    world.tick()
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert most < 8 << 20
-
-
-def test_drives_about_as_fast_as_the_limit() -> None:
-    world = world_of(lane(0, (600, 0)))
-    vehicle = car(world, 10.0)
-    speeds = [speed(vehicle) for _ in ticks(world, 25.0)]
-    assert max(speeds) < 1.06 * LIMIT
-    assert speeds[-1] > 0.8 * LIMIT
-
-
-def test_a_light_before_a_junction_stands_in_a_lane_beside_that_leads_into_none() -> None:
-    lanes, junction = crossing()
-    both = replace(light(95.0, governs=(1,)), stops=((0, 95.0), (6, 60.0)))
-    world = world_of(*lanes, lane(6, (300, 0), start=(0, 200)), signals=(both,), junctions=(junction,))
-    shown(world, RED)
-    vehicles = car(world, 10.0), car(world, 10.0, 200.0)
-    run(world, 25.0)
-    assert [front(vehicle) for vehicle in vehicles] == [pytest.approx(94.0, abs=0.6), pytest.approx(59.0, abs=0.6)]
-
-
 @pytest.mark.parametrize("stops", [(120.0, 160.0), (120.0, 120.0), (90.0, 90.0)])
 @pytest.mark.parametrize("red", [0, 1])
 def test_of_two_lights_on_a_lane_the_nearest_and_the_strictest_one_acts(stops: tuple[float, float], red: int) -> None:
@@ -176,11 +138,13 @@ def test_of_two_lights_on_a_lane_the_nearest_and_the_strictest_one_acts(stops: t
     assert stops[red] - 1.5 < front(vehicle) < stops[red]
 
 
-def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
+def test_drives_as_fast_as_the_limit_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
     world = world_of(lane(0, (300, 0)), signals=(light(120.0),))
-    vehicle, signal = car(world, 10.0), shown(world, RED)
+    vehicle, signal, fastest = car(world, 10.0), shown(world, RED), 0.0
     for _ in ticks(world, 20.0):
         assert front(vehicle) < 120.0
+        fastest = max(fastest, speed(vehicle))
+    assert 0.8 * LIMIT < fastest < 1.06 * LIMIT
     stands = front(vehicle)
     run(world, 10.0)
     assert front(vehicle) == stands
@@ -272,7 +236,6 @@ def test_lets_a_walker_cross_and_continues() -> None:
     world = world_of(lane(0, (300, 0)))
     vehicle = car(world, 10.0)
     walker = world.spawn("walker.pedestrian.0001", at(70.0, -6.0, z=0.9))
-    assert isinstance(walker, Walker)
     for _ in ticks(world, 25.0):
         if front(vehicle) > 35.0 and walker.transform.location.y < 6.0:
             walker.apply_control(WalkerControl(Vector(0.0, 1.0, 0.0), 1.2))
@@ -290,16 +253,6 @@ def test_stops_before_a_prop_on_the_road() -> None:
     run(world, 20.0)
     assert 85.0 < front(vehicle) < 90.0
     assert speed(vehicle) < 0.05
-
-
-def test_vehicles_cross_a_junction_one_after_the_other_without_contact() -> None:
-    lanes, junction = crossing()
-    world = world_of(*lanes, junctions=(junction,))
-    cars = [car(world, 80.0 - 12.0 * n) for n in range(3)]
-    cars += [car(world, 110.0, -30.0 - 12.0 * n, yaw=90.0) for n in range(3)]
-    run(world, 35.0)
-    assert all(vehicle.transform.location.x > 125.0 for vehicle in cars[:3])
-    assert all(vehicle.transform.location.y > 15.0 for vehicle in cars[3:])
 
 
 def test_does_not_enter_a_junction_that_it_could_not_leave() -> None:
@@ -418,20 +371,3 @@ def test_does_not_control_a_vehicle_that_has_it_switched_off() -> None:
     run(world, 5.0)
     assert speed(vehicle) == pytest.approx(0.0, abs=0.01)
     assert vehicle.control.brake == 1.0
-
-
-def test_the_autopilot_keeps_left_as_the_client_does() -> None:
-    town = make_town(mirrored(load_town().opendrive), Path("Mirrored.xodr"))
-    roads, world, seen = carla.Map(town.name, town.opendrive), World(town, seed=5, date=0), 0
-    populate(world, 20, 0)
-    world.settings.collisions_of = "all"
-    for number in range(200):
-        world.tick()
-        assert not world.events.collisions
-        for place, yaw in zip(world.vehicles.position.tolist(), world.vehicles.yaw, strict=True) if number % 20 == 0 else ():
-            lane = roads.get_waypoint(carla.Location(*place))
-            if not lane.is_junction:
-                seen += 1
-                assert np.cos(np.radians(yaw - lane.transform.rotation.yaw)) > 0.7
-    assert seen > 100
-    assert (world.vehicles.speed > 1.0).mean() > 0.5

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
+from carla_recap.sim.actors.lights import TrafficLight
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.signals import GREEN, OFF, RED, YELLOW
+from carla_recap.sim.world import World
 from tests.sim.flat import flat_world, lane, light
-
-if TYPE_CHECKING:
-    from carla_recap.sim.actors.lights import TrafficLight
-    from carla_recap.sim.world import World
 
 
 def crossing() -> tuple[World, list[TrafficLight]]:
@@ -98,12 +94,6 @@ def test_reset_restarts_the_cycle() -> None:
     assert shown(lights) == [GREEN, GREEN, RED]
     world.run(9.9)
     assert shown(lights) == [GREEN, GREEN, RED]
-
-
-def test_group_and_lanes_of_a_light() -> None:
-    _, lights = crossing()
-    assert lights[1].group == lights
-    assert lights[1].affected_lanes == ((1, 95.0),)
 
 
 def test_the_state_of_a_lane_is_that_of_its_strictest_light() -> None:

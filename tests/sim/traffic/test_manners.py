@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from carla_recap.sim import World, load_town
 from carla_recap.sim.signals import RED
+from carla_recap.sim.town.loading import make_town
 from carla_recap.sim.traffic.spawning import populate
-from tests.roads.towns import town
+from tests.roads.towns import mirrored, town
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")
 
@@ -47,9 +50,16 @@ class Lines:
         return self._light[np.nonzero(crossed)[1]]
 
 
-@pytest.mark.parametrize("name", ["Brickfield", "Town01", "Town02", "Town10HD"])
+def named(name):
+    if name == "Mirrored":
+        return make_town(mirrored(load_town().opendrive), Path("Mirrored.xodr"))
+    return load_town(name if name == "Brickfield" else town(name))
+
+
+@pytest.mark.parametrize("name", ["Brickfield", "Mirrored", "Town01", "Town02", "Town10HD"])
 def test_cars_keep_their_lanes_stop_at_red_and_do_not_collide(name):
-    world = World(load_town(name if name == "Brickfield" else town(name)), seed=3, date=0)
+    """Lanes of right-hand and of left-hand traffic, whose directions are those of CARLA's client: see `test_town`."""
+    world = World(named(name), seed=3, date=0)
     populate(world, 60, 0)
     world.settings.collisions_of = "all"
     lines, passed, ran, beside = Lines(world), 0, 0, []

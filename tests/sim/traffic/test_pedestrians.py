@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
@@ -12,10 +10,8 @@ from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.signals import GREEN, RED
 from carla_recap.sim.town.sidewalks import WalkwayGraph
+from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_world, light, spawn_car, spawn_walker
-
-if TYPE_CHECKING:
-    from carla_recap.sim.world import World
 
 # Sidewalks on both sides of the road, a crossing between them, and an island far away.
 NODES = [(80.0, 5.0), (100.0, 5.0), (100.0, -5.0), (80.0, -5.0), (500.0, 50.0), (510.0, 50.0)]
@@ -122,7 +118,6 @@ def test_a_control_clears_the_destination() -> None:
 def test_a_walker_walks_at_the_speed_of_its_attribute_if_it_is_one(speed: str, expected: float) -> None:
     world = flat_world(walks=graph())
     person = world.spawn("walker.pedestrian.0015", at(80.0, 5.0), speed=speed)
-    assert isinstance(person, Walker)
     person.destination = Location(100.0, 5.0)
     world.run(2)
     assert person.velocity.length() == pytest.approx(expected)
@@ -150,15 +145,24 @@ def test_destroyed_and_fallen_walkers_have_no_destination() -> None:
 
 
 def test_a_walker_ignores_cars_that_are_hidden_below_a_crossing() -> None:
-    nodes = np.array([(50.0, y, 0.0) for y in (-5.0, 5.0)])
-    walks = WalkwayGraph(nodes, np.array(((0, 1),)), np.array((True,)))
-    world = flat_world(walks=walks)
-    world.spawn("vehicle.tesla.model3", at(50.0, 0.0, z=-50.0))
-    walker = spawn_walker(world, at(50.0, -5.0, z=1.0))
-    walker.destination = Location(50.0, 5.0, 0.0)
-    farthest = -5.0
-    for _ in range(180):
+    world = flat_world(walks=graph())
+    world.spawn("vehicle.tesla.model3", at(100.0, z=-50.0))
+    person = walker(world, 100.0, 5.0)
+    person.destination = Location(80.0, -5.0)
+    for _ in range(150):
         world.tick()
-        assert walker.transform.location.x == pytest.approx(50.0)
-        farthest = max(farthest, walker.transform.location.y)
-    assert farthest > 4.5
+        assert person.transform.location.x == pytest.approx(100.0) or person.transform.location.y < -4.5
+    assert person.transform.location.y < -4.5
+
+
+def test_walkers_walk_whatever_the_order_of_their_ids() -> None:
+    world = flat_world(walks=graph())
+    world.episode.ids.reserve(5000)
+    places, ids = [at(*node) for node in NODES[:3]], (5000, 4000, 3000)
+    walkers = [world.place("walker.pedestrian.0001", each, wanted_id=id) for each, id in zip(places, ids, strict=True)]
+    for person in walkers:
+        person.destination = Location(80.0, -5.0)
+    world.run(4.0)
+    assert [person.id for person in walkers] == [5000, 4000, 3000]
+    gone = [person.transform.location.distance(start.location) for person, start in zip(walkers, places, strict=True)]
+    assert min(gone) > 2.0
