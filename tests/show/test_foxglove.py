@@ -106,10 +106,11 @@ def test_an_export_is_no_recording(tmp_path):
 
 
 def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch):
-    export(CROSSING, tmp_path / "many.mcap", duration=8)
+    export(CROSSING, tmp_path / "many.mcap", duration=8, follow=101)
+    assert {message.id for _, message in read(tmp_path / "many.mcap")["/hero"]} == {101}
     for together in (1, 7):
         monkeypatch.setattr("carla_recap.show.foxglove.topics._TOGETHER", together)
-        export(CROSSING, tmp_path / f"{together}.mcap", duration=8)
+        export(CROSSING, tmp_path / f"{together}.mcap", duration=8, follow=101)
         assert raw(tmp_path / f"{together}.mcap") == raw(tmp_path / "many.mcap")
 
 

@@ -270,9 +270,8 @@ def test_a_port_in_use_is_an_error() -> None:
             FoxgloveServer("second", port)
 
 
-@pytest.mark.parametrize("package", ["foxglove", "foxglove_schemas_protobuf"])
-def test_the_missing_extra_is_named(package: str) -> None:
-    code = f"import sys; sys.modules[{package!r}] = None; from carla_recap.cli import main; main()"
+def test_the_missing_extra_is_named() -> None:
+    code = "import sys; sys.modules['foxglove'] = None; from carla_recap.cli import main; main()"
     command = [sys.executable, "-c", code, "view", CROSSING, "--foxglove"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2

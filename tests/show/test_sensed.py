@@ -225,6 +225,13 @@ def test_an_actor_that_is_absent_is_said(tmp_path: Path) -> None:
     assert not (tmp_path / "later.mcap").exists()
 
 
+def test_a_clip_of_it_has_the_lights_from_its_start(path: Path, tmp_path: Path) -> None:
+    carla_recap.clip(path, tmp_path / "clip.mcap", start=1.5 * STEP)
+    with open_recording(tmp_path / "clip.mcap") as recording:
+        topics = recording.reader.further_topics()
+    assert [topics[name].first for name in ("/lights", "/map")] == [0.0, 0.0]
+
+
 def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_path: Path) -> None:
     export(source, tmp_path / "one.mcap")
     for name, message in (("two.mcap", "has data of a sensor 'imu' already"), ("two.log", "does not end in .mcap")):
