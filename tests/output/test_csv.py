@@ -12,7 +12,7 @@ from carla_recap import open_recording
 from carla_recap.output import csv as output
 from carla_recap.queries.measures import measures_over_time
 from carla_recap.queries.recorded_actors import actors
-from tests.cli.command import CROSSING, answer, error
+from tests.cli.command import CROSSING, error
 from tests.replay.scripts import spawn, write
 
 AVOIDED = CROSSING.with_name("avoided.mcap")
@@ -43,12 +43,6 @@ def test_of_a_pair_each_is_measured_with_the_other_alone(avoided):
     rows = table("".join(output.csv(measures_over_time(avoided.reader, pair=("hero", 44)))))
     assert {row["actor"] for row in rows} == {"41", "44"}
     assert {row["nearest"] for row in rows if row["actor"] == "44"} == {"41"}
-
-
-def test_of_many_recordings_the_first_column_is_the_recording():
-    rows = table(answer("measures", AVOIDED, CROSSING.with_name("crash.mcap"), "--over-time", "--csv"))
-    assert list(rows[0])[:3] == ["recording", "time", "actor"]
-    assert {row["recording"] for row in rows} == {str(AVOIDED), str(AVOIDED.with_name("crash.mcap"))}
 
 
 def test_extremes_are_a_table_too(avoided):

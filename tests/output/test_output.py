@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json as stdlib
+import math
 import re
 from dataclasses import asdict
 from typing import Any, NoReturn
@@ -12,6 +13,7 @@ from rich.console import Console
 from carla_recap.model.frame import Header
 from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import NO_ACTOR, Attribute, Spawn, attributes
+from carla_recap.output import differences
 from carla_recap.output import table as table_output
 from carla_recap.output.json import encoded
 from carla_recap.output.json import json as json_text
@@ -179,3 +181,18 @@ def test_a_table_controls_no_terminal(make: Make) -> None:
         shown = printed(answer)
         assert shown.replace("\n", "").isprintable()
         assert "[red]\\x1b[31m\\x07\\x9b5A\\u202egnp.exe\\r\\n\\u2028[/nothing]" in shown.replace("\n", "")
+
+
+METRES = {None: "", math.nan: "", math.inf: "unknown", 0.0: "0.000", 0.00042: "0.0004", 0.001: "0.001"}
+
+
+@pytest.mark.parametrize(
+    ("form", "texts"),
+    [
+        (differences._metres, METRES | {5.0: "5.000", 99.9: "99.900", 100.0: "100.0", 123.456: "123.5"}),
+        (differences._degrees, {0.0: "", 0.042: "0.04", 0.1: "0.1", 12.34: "12.3"}),
+        (differences._seconds, {None: "", math.nan: "", 0.0: "0.00", 1.236: "1.24"}),
+    ],
+)
+def test_numbers_have_digits_that_matter_and_what_is_unknown_is_empty(form, texts):
+    assert {value: form(value) for value in texts} == texts

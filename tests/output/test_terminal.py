@@ -54,21 +54,6 @@ def test_the_highest_rank_goes_first_and_rank_zero_never() -> None:
     assert shown(columns, list("1234"), 10)[0] == "aaaa  dddd"
 
 
-def test_a_rank_below_zero_goes_if_narrowing_the_others_is_not_enough() -> None:
-    columns = [column("path", narrowed="middle"), column("bbbb", rank=-1)]
-    cells = ["0123456789abcdefghij", "2"]
-    assert shown(columns, cells, 26)[2] == "0123456789abcdefghij  2"
-    assert shown(columns, cells, 16)[2] == "0123…fghij  2".replace("0123…fghij", shortened(cells[0], 10))
-    assert shown(columns, cells, 15)[:1] == ["path"]
-
-
-def test_a_narrow_column_comes_back_where_a_wide_one_was_in_its_way() -> None:
-    columns = [column("aaaa"), column("bb", rank=2), column("c" * 12, rank=1)]
-    assert shown(columns, list("123"), 10)[0] == "aaaa  bb"
-    assert shown(columns, list("123"), 8)[0] == "aaaa  bb"
-    assert shown(columns, list("123"), 7)[0] == "aaaa"
-
-
 def test_narrowed_columns_share_the_room_that_is_left() -> None:
     text = "x" * 50
     columns = [column("path", narrowed="middle"), column("words", narrowed="words"), column("n")]

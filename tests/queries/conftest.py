@@ -84,14 +84,10 @@ def write(
     durations: Sequence[float] | None = None,
     preamble: bool = False,
 ) -> Path:
-    """Write a recording.
+    """Write a recording: each frame is records (or a payload) by type, or several such mappings, in the order of packets.
 
-    Args:
-        path: Where to.
-        frames: A frame is records (or a payload) by type, or several such mappings, in the order of packets.
-        header: The header.
-        durations: How long each frame is; None: `TICK` seconds, the last one as CARLA leaves it.
-        preamble: Whether the first one holds packets before any frame.
+    Without durations, frames have `TICK` seconds, the last one as CARLA leaves it. With a preamble, the first one holds
+    packets before any frame.
     """
     if durations is None:
         durations = [*[TICK] * (len(frames) - 1), LAST_FRAME_DURATION][: len(frames)]

@@ -54,44 +54,32 @@ QUERIES: Final[Mapping[str, tuple[Callable[..., Any], st.SearchStrategy[dict[str
     "info": (lambda recording, **given: info(recording.reader, **given), options(all=st.booleans(), compat=st.booleans())),
     "overview": (lambda recording: (recording.info, recording.summary, recording.sensors, recording.heroes), options()),
     "actors": (lambda recording: (recording.actors, actors(recording.reader)), options()),
-    "frames": (lambda recording, **given: recording.frames(**given), options(**SPAN)),
-    "frame_at": (lambda recording, elapsed: recording.frame_at(elapsed), st.fixed_dictionaries({"elapsed": TIMES})),
+    "frames": (Recording.frames, options(**SPAN)),
+    "frame_at": (Recording.frame_at, st.fixed_dictionaries({"elapsed": TIMES})),
     "batches": (
         lambda recording, **given: [frame for batch in recording.batches(**given) for frame in batch],
         options(
             types=st.lists(st.sampled_from([*(type.name for type in UE4 if type.id > 1), "weather"]), max_size=3), **SPAN
         ),
     ),
-    "table": (
-        lambda recording, name: recording.table(name),
-        st.fixed_dictionaries({"name": st.sampled_from([*(type.name for type in UE4), "none"])}),
-    ),
+    "table": (Recording.table, st.fixed_dictionaries({"name": st.sampled_from([*(type.name for type in UE4), "none"])})),
     "trajectory": (
-        lambda recording, actor_id, axes: recording.trajectory(actor_id, axes=axes),
+        Recording.trajectory,
         st.fixed_dictionaries({"actor_id": IDS, "axes": st.sampled_from(["right-handed", "carla", "left"])}),
     ),
     "trajectories": (
-        lambda recording, **given: recording.trajectories(**given),
+        Recording.trajectories,
         options(
             kind=st.sampled_from(["vehicle", "walker", "other", "plane"]), axes=st.sampled_from(["right-handed", "carla"])
         ),
     ),
-    "controls": (lambda recording, actor_id: recording.controls(actor_id), st.fixed_dictionaries({"actor_id": IDS})),
-    "light_states": (lambda recording, actor_id: recording.light_states(actor_id), st.fixed_dictionaries({"actor_id": IDS})),
-    "sensor_messages": (
-        lambda recording, **given: recording.sensor_messages(**given),
-        st.fixed_dictionaries({"id": st.text(max_size=3)}, optional=SPAN),
-    ),
-    "collisions": (
-        lambda recording, **given: recording.collisions(**given),
-        options(type1=LETTERS, type2=LETTERS, compat=st.booleans()),
-    ),
-    "blocked": (
-        lambda recording, **given: recording.blocked(**given),
-        options(min_time=LIMITS, min_distance=LIMITS, compat=st.booleans()),
-    ),
+    "controls": (Recording.controls, st.fixed_dictionaries({"actor_id": IDS})),
+    "light_states": (Recording.light_states, st.fixed_dictionaries({"actor_id": IDS})),
+    "sensor_messages": (Recording.sensor_messages, st.fixed_dictionaries({"id": st.text(max_size=3)}, optional=SPAN)),
+    "collisions": (Recording.collisions, options(type1=LETTERS, type2=LETTERS, compat=st.booleans())),
+    "blocked": (Recording.blocked, options(min_time=LIMITS, min_distance=LIMITS, compat=st.booleans())),
     "incidents": (
-        lambda recording, **given: recording.incidents(**given),
+        Recording.incidents,
         options(
             kinds=st.one_of(st.none(), KIND_NAMES, st.lists(KIND_NAMES, max_size=3)),
             roads=st.builds(lambda: build_network(STRAIGHT_ROAD, "Straight")),
@@ -105,18 +93,12 @@ QUERIES: Final[Mapping[str, tuple[Callable[..., Any], st.SearchStrategy[dict[str
             **SPAN,
         ),
     ),
-    "diff": (
-        lambda recording, other, **given: recording.diff(other, **given),
-        options(tolerance=LIMITS, time_tolerance=LIMITS, events=st.booleans()),
-    ),
+    "diff": (Recording.diff, options(tolerance=LIMITS, time_tolerance=LIMITS, events=st.booleans())),
     "measures": (
-        lambda recording, **given: recording.measures(**given),
+        Recording.measures,
         options(actors=SUBJECTS, roads=st.builds(lambda: build_network(STRAIGHT_ROAD, "Straight")), **SPAN),
     ),
-    "time_series": (
-        lambda recording, **given: recording.time_series(**given),
-        st.fixed_dictionaries({"actor_id": IDS}, optional={"other_id": IDS, **SPAN}),
-    ),
+    "time_series": (Recording.time_series, st.fixed_dictionaries({"actor_id": IDS}, optional={"other_id": IDS, **SPAN})),
     "measures_over_time": (
         lambda recording, **given: measures_over_time(recording.reader, **given),
         options(actors=SUBJECTS, pair=st.tuples(IDS, IDS)),
@@ -175,14 +157,10 @@ def test_answers_are_equal(name: str, data: st.DataObject, tmp_path: Path) -> No
     with warnings_ignored():
         convert(log, mcap, force=True)
     given_options = data.draw(ranges)
-    with open_recording(log) as a, open_recording(mcap) as b:
-        if name == "diff":
-            other = traffic(tmp_path / "b.log", data.draw(st.integers(0, 2**32 - 1)))
-            with open_recording(other) as c:
-                given_options["other"] = c
-                first, second = (answer(query, recording, given_options) for recording in (a, b))
-        else:
-            first, second = (answer(query, recording, given_options) for recording in (a, b))
+    other = traffic(tmp_path / "b.log", data.draw(st.integers(0, 2**32 - 1)) if name == "diff" else 0)
+    with open_recording(log) as a, open_recording(mcap) as b, open_recording(other) as c:
+        given_options |= {"other": c} if name == "diff" else {}
+        first, second = (answer(query, recording, given_options) for recording in (a, b))
     assert first == second
 
 

@@ -3,20 +3,28 @@ from __future__ import annotations
 import json as stdlib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click import Context
 
-from carla_recap.errors import RecapError
+from carla_recap.cli import cli
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats import open_reader
 from carla_recap.formats.base import Reader
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 from carla_recap.output.json import json as json_text
 from carla_recap.output.table import table
+from carla_recap.output.terminal import INCIDENT_STYLES
 from carla_recap.output.text import text
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
-from carla_recap.queries.kinds import kinds_without_roads
+from carla_recap.queries.kinds import KINDS, kind_named, kinds_named, kinds_without_roads
+from carla_recap.queries.measures import measures_on_roads
+from carla_recap.queries.roads import roads_of
+from carla_recap.show.page.script import kind_data
 from carla_recap.tables import column_names
 from tests.queries.conftest import TICK, Make
 from tests.queries.measures.conftest import Mover, record, straight
@@ -218,3 +226,79 @@ def test_an_actor_that_does_not_exist_is_an_error(make: Make) -> None:
     source = make({"spawned": CAST}, contact(1, 2, 1))
     with pytest.raises(RecapError, match="no actor 77; known ids are 1 \\(hero\\)"):
         incidents(source, IncidentOptions(actor=77))
+
+
+@pytest.mark.parametrize("name", ["near miss", "near-miss", "near_miss", " Near  miss"])
+def test_a_name_has_spaces_hyphens_or_underscores(name: str) -> None:
+    assert kind_named(name) is KINDS["near miss"]
+
+
+def test_all_is_a_word_of_lists_and_other_words_beside_it_are_checked() -> None:
+    assert kinds_named(["near miss", "all"]) == kinds_named("all") == KINDS.keys()
+    with pytest.raises(RecapError, match="'foo' is no kind"):
+        kinds_named(["all", "foo"])
+
+
+@pytest.mark.parametrize(
+    ("given", "kinds"),
+    [
+        ((), None),
+        (("--kinds", "near-miss", "--kinds", "blocked,collision"), {"near miss", "blocked", "collision"}),
+        (("--kinds", "near_miss", "--kinds", "all"), KINDS.keys()),
+        (("--kinds", "near_miss,all"), KINDS.keys()),
+    ],
+)
+def test_kinds_of_options_that_are_repeated_are_joined(given: tuple[str, ...], kinds: Collection[str] | None) -> None:
+    command = cli.get_command(Context(cli), "incidents")
+    assert command is not None
+    assert command.make_context("incidents", ["run.log", *given]).params["kinds"] == kinds
+
+
+@pytest.mark.parametrize("name", ["", "near misses", "nearmiss"])
+def test_another_name_is_an_error_that_lists_the_kinds(name: str) -> None:
+    names = ", ".join(kind.option for kind in KINDS.values())
+    with pytest.raises(RecapError, match=f"^{name!r} is no kind of incident; there are {names}$"):
+        kind_named(name)
+
+
+def test_icons_and_colours_are_different() -> None:
+    for field in ("dark", "light", "plural", "text"):
+        assert len({getattr(kind, field) for kind in KINDS.values()}) == len(KINDS)
+    assert len({kind["icon"] for kind in kind_data().values()}) == len(KINDS)
+    assert INCIDENT_STYLES.keys() == KINDS.keys()
+
+
+WARNING = "'Crossing' is unknown; rules of the road are left out; --map or CARLA_RECAP_MAPS says where maps are"
+
+
+@pytest.fixture
+def crossing(monkeypatch):
+    """A recording of an unknown map."""
+    monkeypatch.delenv("CARLA_RECAP_MAPS", raising=False)
+    with closing(open_reader(CROSSING)) as reader:
+        yield reader
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda reader: incidents(reader, IncidentOptions(kinds="all")),
+        lambda reader: incidents(reader, IncidentOptions(kinds=["collision", "red light"])),
+        measures_on_roads,
+    ],
+)
+def test_what_needs_the_road_is_left_out_with_a_warning(crossing, ask):
+    with pytest.warns(RecapWarning, match=WARNING) as caught:
+        assert ask(crossing)
+    assert len(caught) == 1
+
+
+def test_kinds_of_the_road_alone_are_an_error(crossing):
+    with pytest.raises(RecapError, match="is unknown, but its roads are needed; --map or CARLA_RECAP_MAPS"):
+        incidents(crossing, IncidentOptions(kinds=["red light", "speeding"]))
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_a_given_folder_without_the_map_is_an_error(crossing, tmp_path, folder):
+    with pytest.raises(RecapError, match=r"no \.xodr in" if folder else "is unknown, but its roads are needed"):
+        roads_of(crossing, str(tmp_path) if folder else None, needed=not folder)

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from dataclasses import asdict
-from itertools import islice
-from typing import Any, cast
+from itertools import count, islice
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from carla_recap import convert
+from carla_recap.formats import open_reader
 from carla_recap.formats.base import Reader
-from carla_recap.model.frame import Extent, Frame, Header, Packet
-from carla_recap.model.records import UE4, Attribute, Spawn
+from carla_recap.model.frame import Frame, Header
+from carla_recap.model.records import Attribute, Spawn
 from carla_recap.output.text import text
 from carla_recap.queries.info import InfoRow, info
 from tests.queries.conftest import Make
@@ -73,12 +76,6 @@ def test_carla_takes_the_center_of_mass_to_cm_and_back(make: Make, compat: bool,
     assert f"   center_of_mass = ({shown})\n" in printed(reader, all=True, compat=compat)
 
 
-@pytest.mark.parametrize(("state", "shown"), [(0, "0"), (4, "4"), (-1, "/"), (78, "~"), (79, "\x7f"), (80, "?"), (-49, "?")])
-def test_light_states_are_one_character(make: Make, state: int, shown: str) -> None:
-    reader = make({"light_states": [(1, 0, 0, state)]})
-    assert f"  Id: 1 state: {shown} frozen: 0 " in printed(reader, all=True)
-
-
 @pytest.mark.parametrize(("payload", "count"), [(b"\2\0" + bytes(600), 2), (b"\1", 0)])
 def test_physics_of_newer_builds_is_a_heading(make: Make, payload: bytes, count: int) -> None:
     pose = {"transforms": [(1, 0, 0, 0, 0, 0, 0)]}  # by which a log of such a build is recognised
@@ -112,25 +109,32 @@ def test_a_recording_of_nothing(make: Make) -> None:
     assert printed(reader, all=True, compat=True) == (HEAD + "Frame 0 at 0 seconds\n\nFrames: 0\nDuration: 0 seconds\n")
 
 
-class Endless:
-    """A recording that never ends."""
-
-    header = Header("Town01", 0)
-
-    def frames(self, types: Any = None, *, sparse: bool = False) -> Iterator[Frame]:
-        type = UE4.named("destroyed")
-        index = 0
-        while True:
-            packet = Packet(type.id, type, None, type.records([(index,)]))
-            yield Frame(index, index + 1, index / 20, 1 / 20, [packet])
-            index += 1
-
-    def extent(self) -> Extent:
-        raise AssertionError("the recording has not been read to its end")
-
-
 @pytest.mark.parametrize("everything", [False, True])
 def test_nothing_waits_for_the_end(everything: bool) -> None:
-    endless = info(cast("Reader", Endless()), all=everything)
-    assert " Destroy 90\n" in "".join(islice(text(endless), 100))
-    assert len(list(islice(endless, 100))) == 100
+    frames = (Frame(n, n + 1, n / 20, 1 / 20, []).replace(destroyed=[(n,)]) for n in count())
+    source: Any = SimpleNamespace(header=Header("Town01", 0), frames=lambda *_, **__: frames)
+    assert " Destroy 90\n" in "".join(islice(text(info(source, all=everything)), 100))
+    assert len(list(islice(info(source, all=everything), 100))) == 100
+
+
+LOG = Path(__file__).parents[2] / "samples" / "town01-carla-0.9.13.log"
+
+
+@pytest.fixture(scope="module")
+def mcap(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("converted") / "a.mcap"
+    convert(LOG, path)
+    return path
+
+
+def test_it_is_the_same_after_a_conversion_to_mcap_and_back(mcap: Path) -> None:
+    convert(mcap, mcap.with_suffix(".log"))
+    assert mcap.with_suffix(".log").read_bytes() == LOG.read_bytes()
+
+
+def test_its_contents_are_printed_as_carla_does(mcap: Path) -> None:
+    expected = LOG.with_suffix(".txt").read_text("utf-8")
+    for path in (LOG, mcap):
+        reader = open_reader(path)
+        assert "".join(text(info(reader, compat=True))) == expected
+        reader.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from textwrap import dedent
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -19,10 +19,7 @@ TICK: Final = 0.1
 HERO: Final = 1
 
 
-class Judge(Protocol):
-    def __call__(
-        self, rules: str, *ways: ArrayLike, hits: Mapping[int, int] = ..., walkers: Collection[int] = ...
-    ) -> Verdict: ...
+Judge = Callable[..., Verdict]
 
 
 @pytest.fixture(scope="session")

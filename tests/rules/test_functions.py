@@ -204,10 +204,9 @@ def test_modules_of_two_folders_have_one_name_and_a_changed_one_is_imported_anew
 
 
 def test_an_installed_module_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "installed" / "rules_of_ours").mkdir(parents=True)
-    (tmp_path / "installed" / "rules_of_ours" / "__init__.py").touch()
-    function = "def it(recording, at):\n    return []\n"
-    (tmp_path / "installed" / "rules_of_ours" / "speed.py").write_text(function, "utf-8")
+    (package := tmp_path / "installed" / "rules_of_ours").mkdir(parents=True)
+    save(package / "__init__.py", b"")
+    save(package / "speed.py", b"def it(recording, at):\n    return []\n")
     monkeypatch.syspath_prepend(tmp_path / "installed")
     assert judged(tmp_path, '{ function = "rules_of_ours.speed:it", at = [1, 2] }').status == "pass"
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import MeasureValues
-from carla_recap.queries.measures.series import NO_OTHER
 from carla_recap.rules.facts import Facts, Scope
 from carla_recap.rules.measures import MeasureBounds
 from carla_recap.rules.places import Circle
@@ -26,65 +25,57 @@ times = st.sampled_from([0.0, 0.05, 0.1, 0.5, 1.0, 2.0]) | st.floats(0, 20)
 limits = st.none() | st.integers(-2, 2)
 
 
-@dataclass
-class Drive:
+@dataclass(eq=False)
+class Drive(Facts):
     """A drive of an actor: a measure over time, and positions at other times, of which some are in two places."""
 
     time: Any
-    values: Any
+    measured: Any
     known: Any
     inside: dict[Circle, list[bool]]
-    incidents: list[tuple[float, bool]]
+    hits: list[tuple[float, bool]]
     life: ActorLife
 
-    @property
-    def facts(self) -> Facts:
-        return _FactsOf(self)
+    def __post_init__(self) -> None:
+        self.answers = {}
+        extent = SimpleNamespace(duration=max(self.time[-1], self.known[-1]))
+        self.recording: Any = SimpleNamespace(reader=SimpleNamespace(extent=lambda: extent))
 
-    def first(self, occasion: str | Circle) -> float:
+    def first_by_loop(self, occasion: str | Circle) -> float:
         life = (self.life.spawned_at, self.life.end)
         if isinstance(occasion, str):
-            return first_time([start for start, is_own in self.incidents if is_own], life)
+            return first_time([start for start, is_own in self.hits if is_own], life)
         return first_time([t for t, is_in in zip(self.known, self.inside[occasion], strict=True) if is_in], (-9e9, 9e9))
 
     def counts(self, scope: Scope, time: Any) -> list[bool]:
         """Return which moments are within a scope, one by one."""
         during = scope.during and (scope.during[0].value, scope.during[1].value)
-        after, until = (None if each is None else self.first(each) for each in (scope.after, scope.until))
+        after, until = (None if each is None else self.first_by_loop(each) for each in (scope.after, scope.until))
         where = scope.where and (self.known.tolist(), self.inside[scope.where])
         return [within(moment, during, after, until, where) for moment in time.tolist()]
 
-
-class _FactsOf(Facts):
-    """Answers about a recording of a drive."""
-
-    def __init__(self, drive: Drive) -> None:
-        self._drive = drive
-        self.answers = {}
-        self.recording = SimpleNamespace(
-            reader=SimpleNamespace(extent=lambda: SimpleNamespace(duration=max(drive.time[-1], drive.known[-1])))
-        )
+    # --- answers about its recording ---
 
     @property
     def actors(self) -> Any:
-        return type("Lives", (list,), {"name": staticmethod(lambda id, time: "hero")})([self._drive.life])
+        return type("Lives", (list,), {"name": staticmethod(lambda id, time: "hero")})([self.life])
 
     @property
     def incidents(self) -> Any:
-        rows = sorted(self._drive.incidents)
+        rows = sorted(self.hits)
         return [SimpleNamespace(kind="collision", start=start, actors=(1,) if is_own else (2,)) for start, is_own in rows]
 
     def values(self, measure: str, life: ActorLife, other: Selector) -> MeasureValues:
-        return MeasureValues(self._drive.time, self._drive.values, np.full(len(self._drive.time), NO_OTHER))
+        return MeasureValues.of(self.time, self.measured)
 
     def subjects(self, of: Selector) -> list[ActorLife]:
-        return [self._drive.life]
+        return [self.life]
 
     def positions(self, life: ActorLife) -> Any:
-        return SimpleNamespace(time=self._drive.known)
+        return SimpleNamespace(time=self.known)
 
     def outside(self, place: Any, life: ActorLife) -> Any:
-        return np.where(self._drive.inside[place], 0.0, 1.0)
+        return np.where(self.inside[place], 0.0, 1.0)
 
 
 PLACES = [Circle(x, 0.0, None, Quantity(1.0, "m"), f"({x})") for x in (0.0, 9.0)]
@@ -127,11 +118,13 @@ def test_measures_over_time_are_judged_as_by_a_loop(
     if scope.is_whole:  # of which extreme values are enough
         scope = Scope(during=(Quantity(0.0, "s"), Quantity(9e9, "s")))
     time = drive.time.tolist()
-    counts = [counts and value == value for counts, value in zip(drive.counts(scope, drive.time), drive.values, strict=True)]
+    counts = [
+        counts and value == value for counts, value in zip(drive.counts(scope, drive.time), drive.measured, strict=True)
+    ]
     bounds = Bounds(quantity(least, "m/s"), quantity(most, "m/s"))
     condition = MeasureBounds("speed", Selector("hero"), bounds, scope, quantity(tolerate, "s"), quantity(lasting, "s"))
-    found = condition.judge(drive.facts)
-    valid = [(least is None or v >= least) and (most is None or v <= most) for v in drive.values.tolist()]
+    found = condition.judge(drive)
+    valid = [(least is None or v >= least) and (most is None or v <= most) for v in drive.measured.tolist()]
     if is_close(time, tolerate) or is_close(time, lasting):
         return
     if not any(counts):
@@ -150,7 +143,7 @@ def test_measures_over_time_are_judged_as_by_a_loop(
 @given(drives(), st.booleans(), st.none() | times, scopes)
 def test_stays_are_judged_as_by_a_loop(drive: Drive, is_inside: bool, tolerate: float | None, scope: Scope) -> None:
     place, known = PLACES[0], drive.known.tolist()
-    found = Stays(Selector("hero"), place, is_inside, quantity(tolerate, "s"), scope).judge(drive.facts)
+    found = Stays(Selector("hero"), place, is_inside, quantity(tolerate, "s"), scope).judge(drive)
     if is_close(known, tolerate):
         return
     valid = [each == is_inside for each in drive.inside[place]]

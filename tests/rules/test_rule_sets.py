@@ -42,20 +42,10 @@ def verdict(sample: str, rule: str):
         ("crash.mcap", 'collisions = { of = "hero", with = "walker", max = 0 }', "fail", "with walkers instead of at most"),
         ("crash.mcap", 'collisions = { of = "vehicle.mercedes.*", min = 2 }', "fail", "1 collision of vehicle.mercedes"),
         ("junction.mcap", 'collisions = { of = "role:ego", max = 0 }', "pass", "nothing to judge: no collisions of the "),
-        (
-            "crossing.log",
-            'incidents = { kind = "hard braking", of = "hero", max = 0 }',
-            "fail",
-            "1 hard braking of the hero instead of at most 0: hero brakes hard at 44 km/h at 23.50 s",
-        ),
+        ("crossing.log", 'incidents = { kind = "hard braking", of = "hero", max = 0 }', "fail", "1 hard braking of the"),
         ("blocked.mcap", 'blocked = { max = "50 s" }', "fail", "1 stop of more than 50 s: vehicle.mercedes.sprinter (41)"),
         ("junction.mcap", 'duration = { min = "30 s" }', "fail", "the recording has 29.95 s instead of at least 30 s"),
-        (
-            "crash.mcap",
-            'incidents = { kind = ["hard-braking", "blocked"], max = 9 }',
-            "pass",
-            "2 hard braking or long stops",
-        ),
+        ("crash.mcap", 'incidents = { kind = ["hard-braking", "blocked"], max = 9 }', "pass", "2 hard braking or long"),
         ("junction.mcap", 'duration = { min = "1 min", max = "120 s" }', "fail", "29.95 s instead of at least 1 min and"),
         ("junction.mcap", "frames = { min = 1, max = 5 }", "fail", "600 frames instead of at least 1 and at most 5 frames"),
         ("junction.mcap", "frames = { min = 123456 }", "fail", "instead of at least 123456 frames"),
@@ -104,54 +94,43 @@ def test_rules_that_need_no_map_are_judged_without_it():
     assert {each.message for each in verdicts[:2]} == {told}
 
 
-def test_a_recording_is_compared_with_its_baseline(tmp_path):
-    (tmp_path / "base").mkdir()
-    shutil.copy(SAMPLES / "crash.mcap", tmp_path / "base")
-    shutil.copy(SAMPLES / "junction.mcap", tmp_path / "base" / "blocked.mcap")
+@pytest.mark.parametrize(
+    ("name", "status", "message"),
+    [
+        ("crash.mcap", "pass", "equal to {}/crash.mcap within 10 cm"),
+        ("blocked.mcap", "fail", "differs from {}/blocked.mcap: "),
+        ("junction.mcap", "error", "{}: has no baseline junction.log or .mcap"),
+        ("crash?2.mcap", "error", "{}: has no baseline crash?2.log or .mcap"),
+    ],
+)
+def test_a_recording_is_compared_with_its_baseline(tmp_path, name, status, message):
+    (base := tmp_path / "base").mkdir()
+    shutil.copy(SAMPLES / "crash.mcap", base)
+    shutil.copy(SAMPLES / "junction.mcap", base / "blocked.mcap")
     rules = parse_rules('[rules.it]\nsame_as = { baseline = "base", tolerance = "10 cm" }', tmp_path / "rules.toml")
-    verdicts = {}
-    for name in ("crash", "blocked", "junction"):
-        with open_recording(SAMPLES / f"{name}.mcap") as recording:
-            (verdicts[name],) = check(recording, rules)
-    base = tmp_path / "base"
-    assert (verdicts["crash"].status, verdicts["crash"].message) == ("pass", f"equal to {base / 'crash.mcap'} within 10 cm")
-    assert (verdicts["blocked"].status, verdicts["blocked"].time) == ("fail", 0.0)
-    assert verdicts["blocked"].message.startswith(f"differs from {base / 'blocked.mcap'}: ")
-    assert (verdicts["junction"].status, verdicts["junction"].message) == (
-        "error",
-        f"{base}: has no baseline junction.log or .mcap",
-    )
-    with open_recording(shutil.copy(SAMPLES / "crash.mcap", tmp_path / "crash?2.mcap")) as recording:
-        assert check(recording, rules)[0].message == f"{base}: has no baseline crash?2.log or .mcap"
+    with open_recording(shutil.copy(SAMPLES / name.replace("?2", ""), tmp_path / name)) as recording:
+        (found,) = check(recording, rules)
+    assert (found.status, found.message.startswith(message.format(base))) == (status, True)
 
 
 @pytest.mark.parametrize(
     ("sample", "rule", "time", "actors", "details"),
     [
         (
-            "crash.mcap",
+            "crash",
             'collisions = { of = "hero", max = 0 }',
             12.1,
             (41, 44),
-            (
-                "12.10 s: hero collides with walker.pedestrian.0004 (44)",
-                "15.15 s: hero collides with vehicle.mercedes.sprinter (42)",
-            ),
+            ["12.10 s: hero coll", "15.15 s: hero coll"],
         ),
-        (
-            "avoided.mcap",
-            'incidents = { kind = "near-miss", max = 0 }',
-            10.6,
-            (41, 44),
-            ("10.60 s: hero comes within 1.1 s of walker.pedestrian.0004 (44) at 11.00 s, at 50 km/h",),
-        ),
-        ("crash.mcap", 'actors = { of = "hero", min = 2 }', None, (), ()),  # nobody is to blame if there are too few
+        ("avoided", 'incidents = { kind = "near-miss", max = 0 }', 10.6, (41, 44), ["10.60 s: hero come"]),
+        ("crash", 'actors = { of = "hero", min = 2 }', None, (), []),  # nobody is to blame if there are too few
     ],
 )
 def test_a_failure_has_the_time_the_actors_and_all_offences(sample, rule, time, actors, details):
-    found = verdict(sample, rule)
+    found = verdict(f"{sample}.mcap", rule)
     assert (found.rule, found.status, found.time, found.actors) == ("it", "fail", pytest.approx(time), actors)
-    assert found.details == details
+    assert [text[:18] for text in found.details] == details
 
 
 def test_a_rule_about_collisions_asks_a_web_server_once_and_baselines_can_be_there(web):

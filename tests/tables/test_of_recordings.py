@@ -108,21 +108,13 @@ def test_a_table_contains_the_records_of_the_frames(recorded: tuple[Header, list
             assert [image(frame) for batch in recording.batches() for frame in batch] == [image(f) for f in recording]
 
 
-def written(folder: Path, suffix: str) -> Path:
-    """A small recording, with records of each type."""
-    path = save(folder / "small.log", small_log())
-    if suffix == ".mcap":
-        with open_recording(path) as recording:
-            write(folder / "small.mcap", recording.header, recording.frames())
-    return path.with_suffix(suffix)
-
-
 @both_formats
 def test_the_table_of_frames(tmp_path: Path, suffix: str) -> None:
-    with open_recording(written(tmp_path, suffix)) as recording:
+    with open_recording(save(tmp_path / "small.log", small_log())) as recording:
+        path = write(tmp_path / f"own{suffix}", recording.header, recording.frames())
+    with open_recording(path) as recording:
         table = recording.table("frame")
-        assert table["id"].tolist() == [1, 2, 3, 4]
-        assert table["frame"].tolist() == [1, 2, 3, 4]
+        assert table["id"].tolist() == table["frame"].tolist() == [1, 2, 3, 4]
         assert table["elapsed"].tolist() == table.time.tolist() == [0, 1, 2, 3]
         assert table["duration"].tolist() == [1, 1, 1, -1]
 
@@ -213,9 +205,9 @@ def test_batches_are_the_frames(crossing: Recording, window: tuple[float, float]
 
 
 def test_batches_of_some_types(crossing: Recording) -> None:
-    whole = [frame["transforms"].tolist() for frame in crossing]
     batches = list(crossing.batches(("transforms", "velocities")))
-    assert [row.tolist() for batch in batches for row in batch.records("transforms")] == whole
+    rows = [row.tolist() for batch in batches for row in batch.records("transforms")]
+    assert rows == [frame["transforms"].tolist() for frame in crossing]
     names = {column.type.name for batch in batches for column in batch.columns if column.type}
     assert names == {"transforms", "velocities"}
     assert batches[0].records("collisions").shape == (len(batches[0]), 0)

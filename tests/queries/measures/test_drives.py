@@ -94,23 +94,25 @@ def test_what_says_nothing_about_comfort() -> None:
     assert outside(time, np.vstack((velocity, velocity[-2:])), np.append(yaw, [0, 0])) == {}
 
 
+def beside(speeds: list[float], role: str = "background", speed: float = 8.0) -> dict[int, Any]:
+    return {OTHER: (vehicle(OTHER, role), westward([speed] * len(speeds), y=5.25))}
+
+
 def test_efficiency_is_the_speed_against_the_traffic(drives: Drives) -> None:
     """The hero drives 10 m/s on the first half, and 6 m/s on the second; a vehicle of the traffic has 8 m/s beside it."""
     speeds = at_speed(10, 50) + at_speed(6, 51)
-    traffic = {OTHER: (vehicle(OTHER, "background"), westward([8.0] * len(speeds), y=5.25))}
+    traffic = beside(speeds)
     found = drives(westward(speeds), others=traffic)
     assert found.efficiency == pytest.approx((10 * 125 + 11 * 75) / 21, abs=1.5)  # the last of twenty parts counts twice
     assert found.smoothness is not None
     assert found.smoothness < 100
-    parked = {OTHER: (vehicle(OTHER, "parked"), westward([8.0] * len(speeds), y=5.25))}
-    assert drives(westward(speeds), others=parked).efficiency is None
-    slow = {OTHER: (vehicle(OTHER, "background"), westward([0.5] * len(speeds), y=5.25))}
-    assert drives(westward(speeds), others=slow).efficiency is None  # above 1,000 %
+    assert drives(westward(speeds), others=beside(speeds, "parked")).efficiency is None
+    assert drives(westward(speeds), others=beside(speeds, speed=0.5)).efficiency is None  # above 1,000 %
 
 
 def test_measures_have_the_numbers_too(drives: Drives) -> None:
     speeds = at_speed(10, 50) + at_speed(6, 51)
-    traffic = {OTHER: (vehicle(OTHER, "background"), westward([8.0] * len(speeds), y=5.25))}
+    traffic = beside(speeds)
     found = drives(westward(speeds), others=traffic, route=None)
     with open_recording(drives.path) as recording:
         rows = {(row.actor, row.measure): (row.value, row.unit, row.time) for row in recording.measures("all")}
@@ -123,7 +125,7 @@ def test_measures_have_the_numbers_too(drives: Drives) -> None:
 
 def test_a_route_with_a_slow_quarter_is_a_success(drives: Drives) -> None:
     speeds = at_speed(6, 101)
-    traffic = {OTHER: (vehicle(OTHER, "background"), westward([8.0] * len(speeds), y=5.25))}
+    traffic = beside(speeds)
     found = drives(westward(speeds), others=traffic)
     assert found.status == "Completed"
     assert {each.kind for each in found.infractions} == {"min_speed_infractions"}

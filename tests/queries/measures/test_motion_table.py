@@ -50,25 +50,19 @@ def test_tables_follow_each_other_and_have_the_time_before_and_after(
         assert all(values.dtype == np.float64 for values in (table.x, table.y, table.z, table.yaw, table.vx, table.vy))
 
 
-def test_a_table_has_no_more_poses_than_fit(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 8 actors, 400 poses are 50 frames; the margins of 2 s have 40."""
-    monkeypatch.setattr(motion_table, "_VALUES", 400)
-    reader = drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10)
-    tables = tables_of(reader)
-    time = np.arange(101) / 10
-    assert [number for table in tables for number in frames_of(table, time)] == list(range(101))
-    for table in tables:
-        assert table.last - table.first <= 50
-        assert np.isfinite(table.x).all()
-
-
-def test_a_table_of_few_frames_in_much_time_has_no_more_moments_than_fit(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("actors", "rate", "seconds", "values"), [(8, 10, 10, 400), (2, 1, 200, 1600)])
+def test_a_table_has_no_more_than_fits(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch, actors: int, rate: int, seconds: int, values: int
 ) -> None:
-    """Of 2 actors, 1,600 moments are 40 s at 20 Hz, however many frames these have."""
-    monkeypatch.setattr(motion_table, "_VALUES", 1600)
-    for table in tables_of(drive([straight(id, 0, 10 * id, 10) for id in (1, 2)], seconds=200, rate=1)):
+    """Of 8 actors, 400 poses are 50 frames; of 2 actors, 1,600 moments are 40 s at 20 Hz, however few frames these have."""
+    monkeypatch.setattr(motion_table, "_VALUES", values)
+    tables = tables_of(drive([straight(id + 1, 0, 10 * id, 10) for id in range(actors)], seconds=seconds, rate=rate))
+    time = np.arange(seconds * rate + 1) / rate
+    assert [number for table in tables for number in frames_of(table, time)] == list(range(len(time)))
+    for table in tables:
+        assert (table.last - table.first) * actors <= values
         assert table.time[-1] - table.time[0] <= 40
+        assert np.isfinite(table.x).all()
 
 
 @pytest.mark.parametrize("early", [False, True])

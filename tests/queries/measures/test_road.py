@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -42,17 +42,12 @@ def roads() -> RoadNetwork:
     return build_network(STRAIGHT_ROAD, "Straight")
 
 
-class Extreme(NamedTuple):
-    value: float
-    time: float
-
-
 class Drives:
     """Writes recordings of cars that drive along the straight road, and searches them."""
 
     def __init__(self, roads: RoadNetwork, path: Path) -> None:
         self.roads, self.path = roads, path
-        self.extremes: dict[int, dict[str, Extreme]] = {}
+        self.extremes: dict[int, dict[str, tuple[float, float]]] = {}
 
     def __call__(
         self,
@@ -94,9 +89,9 @@ class Drives:
             found = found.only(np.isfinite(found.value))
             if not len(found.value):
                 return
-            best, known = int(found.value.argmax()), self.extremes[actor.id].get(name)
-            if found.value[best] > (known.value if known else 0):
-                self.extremes[actor.id][name] = Extreme(float(found.value[best]), float(found.time[best]))
+            best, known = int(found.value.argmax()), self.extremes[actor.id].get(name, (0.0, 0.0))
+            if found.value[best] > known[0]:
+                self.extremes[actor.id][name] = float(found.value[best]), float(found.time[best])
 
         search = RoadSearch(reader, self.roads, actors(reader), note)
         for batch in reader.batches(TYPES):
@@ -268,7 +263,7 @@ def test_leaving_the_road_is_found_with_its_distance(drives: Drives) -> None:
     assert event.span == pytest.approx((2.0, 3.0), abs=0.11)
     assert event.place[1] == pytest.approx(-5.7, abs=1e-3)
     assert drives(_swerve(0.2, 2.0)) == []
-    assert drives.extremes[CAR]["distance_off_road"].value == pytest.approx(0.2, abs=1e-3)
+    assert drives.extremes[CAR]["distance_off_road"][0] == pytest.approx(0.2, abs=1e-3)
 
 
 @pytest.mark.parametrize(("begin", "greatest"), [(62, [1.4]), (66, [1.0, 1.4])])
@@ -298,7 +293,7 @@ def test_the_ways_against_the_lane_of_one_run_add_up(drives: Drives) -> None:
 def test_speeding_is_found_with_speed_and_limit(drives: Drives) -> None:
     (event,) = drives(along([20.0] * 40))  # 72 km/h where 50 are allowed
     assert (event.kind, event.text) == ("speeding", "drives 72 km/h where 50 km/h are allowed")
-    assert drives.extremes[CAR]["speed_over_limit"].value == pytest.approx(20 - 50 / 3.6, abs=0.01)
+    assert drives.extremes[CAR]["speed_over_limit"][0] == pytest.approx(20 - 50 / 3.6, abs=0.01)
 
 
 # --- incidents -----------------------------------------------------------------------------------------------------------

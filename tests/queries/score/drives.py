@@ -6,6 +6,7 @@ The road leads to the west, at y = 1.75; the route, from x = 255 to x = 155, is 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,14 +54,7 @@ class Drives:
     ) -> Score:
         """Return the score of a drive.
 
-        Args:
-            poses: Those of the hero, one for each frame.
-            route: The route.
-            others: The spawns of other actors and their poses.
-            touches: Frames, and the actors that the hero touches in them.
-            lights: The spawns of traffic lights and their states.
-            tick: The time between two frames.
-            options: See `ScoreOptions`.
+        Each actor has a pose in each frame; `touches` are frames, and whom the hero touches; lights have one state.
         """
         actors = {HERO: (vehicle(HERO, "hero"), poses), **(others or {})}
         lights = lights or {}
@@ -77,11 +71,8 @@ class Drives:
             if lights:
                 frame["light_states"] = [(id, False, 0.0, state) for id, (_, state) in lights.items()]
         write(self.path, frames, header=Header("Brickfield", 1_600_000_000), durations=[tick] * len(frames))
-        reader = open_reader(self.path)
-        try:
+        with closing(open_reader(self.path)) as reader:
             return score(reader, route, ScoreOptions(**options))
-        finally:
-            reader.close()
 
 
 def vehicle(id: int, role: str = "", type_id: str = "vehicle.mini.cooper_s", **more: str) -> Spawn:

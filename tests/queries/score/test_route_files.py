@@ -59,7 +59,6 @@ def bomb() -> str:
 HOSTILE = {
     "not XML": ("nothing", "the XML is invalid: syntax error: line 1, column 0"),
     "another root": ("<OpenDRIVE/>", "the root element is 'OpenDRIVE'"),
-    "no routes": ("<routes/>", "no route is in it"),
     "cut off": ("<routes><route id='1' town='T'>", "the XML is invalid: no element found: line 1, column 31"),
     "a billion laughs": (bomb(), "it declares entities, which no route file does"),
     "an external entity": (
@@ -69,15 +68,8 @@ HOSTILE = {
     "no id": (routes(route(*TWO, id="")), "a route has no id"),
     "no town": (routes(route(*TWO, town="")), "route '1' has no town"),
     "no positions": (routes(route()), "2 to 2,000 positions of a route, and route '1' has 0"),
-    "a hundred thousand positions": (
-        routes(route(*[position(1)] * 100_001)),
-        "at most 100,000 elements in a route, and one has more",
-    ),
-    "many positions": (routes(route(*[position(1)] * 2_001)), "2 to 2,000 positions of a route, and route '1' has 2,001"),
-    "no number": (routes(route(position("nan"), position(1))), "position 1 of route '1' has a number x of at most"),
     "a word": (routes(route(position(1), position(1, y="north"))), "position 2 of route '1' has a number y of at most"),
     "a huge number": (routes(route(position(1), position(1, z="1e300"))), "1,000,000 m, and it is '1e300'"),
-    "a number that is missing": (routes(route('<position x="1"/>', position(1))), "has a number y of at most"),
     "deep elements": (
         routes("<route id='1' town='T'>" + "<a>" * 100_001 + "</a>" * 100_001 + "</route>"),
         "at most 100,000 elements in a route, and one has more",
