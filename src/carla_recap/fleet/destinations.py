@@ -113,26 +113,25 @@ class DestinationFolder:
         uploaded = _modified_below(self.location) if self.newer and is_remote(self.location) else {}
         written = frozenset(given)
         for source in sources:
-            if source.error is None and self._is_below(source):
+            path, error = self.file_of(source), source.error
+            if error is None and self._is_below(source):
                 log_info(__name__, "%s is a file of an earlier run, and is skipped", source.location)
                 continue
-            path = self.file_of(source)
-            if source.error is None and ".." in PurePath(source.name).parts:
-                source = replace(source, error=f"{source.location}: its name leads out of {self.location}")
-            elif source.error is None and path in written:
-                same = f"has the same name as {given[path]}; both would be written to {path}"
-                source = replace(source, error=f"{source.location}: {same}")
-            elif source.error is None and path in given:
+            if error is None and ".." in PurePath(source.name).parts:
+                error = f"{source.location}: its name leads out of {self.location}"
+            elif error is None and path in written:
+                error = f"{source.location}: has the same name as {given[path]}; both would be written to {path}"
+            elif error is None and path in given:
                 self.again.append(source)
                 continue
-            elif source.error is None:
+            elif error is None:
                 given[path] = source.location
                 if self.newer and is_current(path, source, uploaded):
                     self.skipped.append(path)
                     continue
                 if not is_remote(path):
                     self.missing.update(missing_folders(Path(path).parent))
-            yield source
+            yield replace(source, error=error)
 
     def _is_below(self, source: SourceFile) -> bool:
         """Return whether a recording was found in this folder, which is itself below the folder that was searched."""
