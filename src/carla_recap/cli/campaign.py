@@ -289,25 +289,25 @@ def _reported(
     processes: Processes,
 ) -> list[FinishedRun]:
     """Write the pages, the index and the rows into a folder; return the rows with the paths of their pages."""
-    from carla_recap.fleet.campaign.page import campaign_page
-    from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS, with_pages, write_campaign_index, write_runs
+    from carla_recap.fleet.campaign import report
+    from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS
     from carla_recap.util.files import WholeFile
 
     road_map = request.road_map
-    rows, warnings = with_pages(rows, folder, measure, request.pages, road_map=road_map, jobs=request.jobs)
+    rows, warnings = report.with_pages(rows, folder, measure, request.pages, road_map=road_map, jobs=request.jobs)
     for line in warnings:
         warn(line)
     if any(row.report.error is None for row in rows):
-        reason = write_campaign_index(rows, folder / INDEX, road_map=road_map, **processes)
+        reason = report.write_campaign_index(rows, folder / INDEX, road_map=road_map, **processes)
         if reason is not None:
             warn(reason)
         else:
             wrote(folder / INDEX)
-    write_runs(rows, folder / RUNS)
+    report.write_runs(rows, folder / RUNS)
     wrote(folder / RUNS)
     with WholeFile(folder / PAGE) as file:
         title = request.function or str(request.script)
-        file.write(campaign_page(rows, folder, measure, title).encode("utf-8", "backslashreplace"))
+        file.write(report.campaign_page(rows, folder, measure, title).encode("utf-8", "backslashreplace"))
     wrote(folder / PAGE)
     return rows
 

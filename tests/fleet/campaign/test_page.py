@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from carla_recap.fleet.campaign.page import campaign_page
 from carla_recap.fleet.campaign.plan import CampaignRun
-from carla_recap.fleet.campaign.report import columns, worst_first
+from carla_recap.fleet.campaign.report import campaign_page, columns, worst_first
 from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, crash_text, result_named
 from carla_recap.fleet.campaign.runs import FinishedRun, RunReport
 from carla_recap.fleet.check import CheckedRecording
