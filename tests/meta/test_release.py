@@ -12,7 +12,7 @@ from fnmatch import fnmatch
 from typing import Any
 
 import pytest
-from click import Context, Group
+from click import Context
 
 from carla_recap.cli import cli
 from tests.samples import ROOT
@@ -29,15 +29,6 @@ def parsed(text: str) -> Any:
 
 def text_of(*names: str) -> str:
     return ROOT.joinpath(*names).read_text("utf-8")
-
-
-def check_arguments(words: list[str]) -> None:
-    """Parse the arguments of carla-recap, without running the command."""
-    assert isinstance(cli, Group)
-    command = cli.get_command(Context(cli), words[0])
-    assert command is not None, words
-    known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
-    assert {word.split("=")[0] for word in words if word.startswith("--")} <= known, words
 
 
 def test_the_version_is_the_same_everywhere():
@@ -122,6 +113,9 @@ def test_the_demo_installs_what_its_commands_need():
     lines = re.findall(r"^ *run carla-recap (.*)$", text_of("samples", "demo.sh"), re.MULTILINE)
     commands = [shlex.split(line.split(" || ")[0]) for line in lines]
     for words in commands:
-        check_arguments(words)
+        command = cli.get_command(Context(cli), words[0])
+        assert command is not None, words
+        known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        assert {word.split("=")[0] for word in words if word.startswith("--")} <= known, words
     assert {"record", "collisions", "replay", "report", "export", "video"} <= {words[0] for words in commands}
     assert not any(word.endswith(".rrd") for words in commands for word in words)

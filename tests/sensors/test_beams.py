@@ -87,16 +87,13 @@ def test_a_return_has_an_intensity_and_is_dropped_at_random() -> None:
     assert (kept.distance == again.distance).all()
 
 
-def test_weak_returns_are_dropped_more_often() -> None:
-    returns = LidarReturns(spec(atmosphere_attenuation_rate=0.05, dropoff_general_rate=0.0).number)
-    assert len(returns.of(hits_at(1.0, 1000))[0].ray) == 1000  # the intensity is above the limit
-    weak = len(returns.of(hits_at(40.0, 20_000))[0].ray) / 20_000
-    assert weak == pytest.approx(1 - 0.4 + 0.4 / 0.8 * exp(-2.0), rel=0.03)
-
-
-def test_without_a_limit_no_return_is_weak() -> None:
-    returns = LidarReturns(spec(dropoff_intensity_limit=0.0, dropoff_general_rate=0.0).number)
-    assert len(returns.of(hits_at(40.0, 1000))[0].ray) == 1000
+@pytest.mark.parametrize(
+    ("distance", "limit", "kept"), [(1.0, 0.8, 1.0), (40.0, 0.8, 0.6 + 0.5 * exp(-2.0)), (40.0, 0.0, 1.0)]
+)
+def test_returns_weaker_than_a_limit_are_dropped_more_often(distance: float, limit: float, kept: float) -> None:
+    values = {"atmosphere_attenuation_rate": 0.05, "dropoff_general_rate": 0.0, "dropoff_intensity_limit": limit}
+    found = len(LidarReturns(spec(**values).number).of(hits_at(distance, 20_000))[0].ray) / 20_000
+    assert found == pytest.approx(kept, rel=0.03 if kept < 1 else 1e-9)
 
 
 def test_a_radar_scatters_its_rays_in_a_cone() -> None:

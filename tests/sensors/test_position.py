@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from carla_recap.sensors.position import GeoReference, Gnss, Imu, acceleration_at
+from tests.roads.towns import opendrive, road
 
-ROAD = """<OpenDRIVE><header revMajor="1" revMinor="4">{}</header><road name="" length="100" id="1" junction="-1">
-<planView><geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry></planView><lanes><laneSection s="0">
-<center><lane id="0" type="none" level="false"/></center>
-<right><lane id="-1" type="driving" level="false"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right>
-</laneSection></lanes></road></OpenDRIVE>"""
+ROAD = opendrive(road()).replace('Minor="4"/>', 'Minor="4">{}</header>', 1)
 REFERENCES = [
     "",
     "+proj=tmerc +lat_0=0 +lon_0=0 +k=1",
