@@ -463,56 +463,40 @@ async def test_clients_are_served_while_the_actors_of_a_replay_are_spawned(
     host.close()
 
 
-@pytest.mark.parametrize("ending", ["stop_recorder", "start_recorder", "replay_file", "load_new_episode"])
-def test_clients_are_served_while_a_recording_is_completed(
-    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+@pytest.mark.parametrize(
+    ("ending", "arguments"),
+    [
+        ("stop_recorder", []),
+        ("start_recorder", ["next.mcap", False]),
+        ("replay_file", ["drive", 0.0, 0.0, 0]),
+        ("load_new_episode", ["", True, 0]),
+    ],
+)
+async def test_clients_are_served_while_a_recording_is_completed(inside: Inside, ending: str, arguments: list[Any]) -> None:
+    await CALLS["start_recorder"](inside.client, ["ends.mcap", False])
+    inside.host.tick()
+    completing = Blocked(inside.world.recorder._writer.close)
+    inside.world.recorder._finish = completing
+    answer = CALLS[ending](inside.client, arguments)
+    task = answer if asyncio.iscoroutine(answer) else asyncio.sleep(0)
+    await asyncio.gather(task, completing.serve_others(inside.host))
+    assert b"Frames: 1\n" in await CALLS["show_recorder_file_info"](inside.client, ["ends.mcap", False])
+
+
+async def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_about(
+    inside: Inside, caplog: pytest.LogCaptureFixture
 ) -> None:
-    host, path = Host(World(load_town())), tmp_path / "ends.mcap"
-    arguments = {
-        "stop_recorder": [],
-        "start_recorder": [str(tmp_path / "next.mcap"), False],
-        "replay_file": [str(recordings / "drive.mcap"), 0.0, 0.0, 0],
-        "load_new_episode": ["", True, 0],
-    }[ending]
-
-    async def run() -> bytes:
-        client = client_inside(host)
-        await CALLS["start_recorder"](client, [str(path), False])
-        host.tick()
-        completing = Blocked(host.world.recorder._writer.close)
-        host.world.recorder._finish = completing
-        answer = CALLS[ending](client, arguments)
-        task = asyncio.ensure_future(answer) if asyncio.iscoroutine(answer) else asyncio.sleep(0)
-        await asyncio.gather(task, completing.serve_others(host))
-        info: bytes = await CALLS["show_recorder_file_info"](client, [str(path), False])
-        return info
-
-    assert b"Frames: 1\n" in asyncio.run(run())
-    host.close()
-
-
-def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_about(
-    recordings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    host = Host(World(load_town()))
-
     def fail() -> None:
         raise OSError("lost")
 
-    async def run() -> bytes:
-        client = client_inside(host)
-        await CALLS["start_recorder"](client, [str(tmp_path / "ends.mcap"), False])
-        host.tick()
-        writer = host.world.recorder._writer
-        host.world.recorder._finish = fail
-        CALLS["stop_recorder"](client, [])
-        writer.close()
-        info: bytes = await CALLS["show_recorder_file_info"](client, [str(recordings / "drive.mcap"), False])
-        return info
-
-    assert b"Frames: 80\n" in asyncio.run(run())
+    await CALLS["start_recorder"](inside.client, ["ends.mcap", False])
+    inside.host.tick()
+    writer = inside.world.recorder._writer
+    inside.world.recorder._finish = fail
+    CALLS["stop_recorder"](inside.client, [])
+    writer.close()
+    assert b"Frames: 80\n" in await CALLS["show_recorder_file_info"](inside.client, ["drive", False])
     assert "a recording could not be completed: lost" in caplog.messages
-    host.close()
 
 
 # --- confined ------------------------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
 def test_what_rerun_gets_is_what_an_export_holds(tmp_path: Path) -> None:
     """A hero comes, and drives until it hits something."""
     read = pytest.importorskip("rerun.chunk", reason="the extra `rerun` is not installed").RrdReader
