@@ -151,6 +151,19 @@ def test_a_parked_car_that_is_hit_wakes_up() -> None:
     assert parked.transform.location.x > 40
 
 
+def test_a_car_whose_physics_is_switched_off_stays_where_its_body_is() -> None:
+    """Chipmunk pushes overlapping bodies apart in the step after the one in which it finds them."""
+    world = flat_world()
+    cars = [world.place("vehicle.tesla.model3", at(x)) for x in (20.0, 21.0)]
+    world.tick()
+    for car in cars:
+        car.set_simulate_physics(False)
+    spawn_car(world, at(100.0), speed=12.0)
+    world.run(0.5)
+    for position, body in zip(world.vehicles.position, world.vehicles.bodies, strict=True):
+        assert body.position == pytest.approx(tuple(position[:2]), abs=1e-6)
+
+
 @pytest.mark.parametrize(("yaw", "pitch"), [(0.0, -90.0), (180.0, 90.0)])
 def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch: float) -> None:
     world = flat_world()

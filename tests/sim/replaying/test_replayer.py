@@ -414,6 +414,19 @@ def test_a_jump_pushes_no_vehicle_on_its_way(tmp_path: Path) -> None:
     assert standing.transform.location.x == pytest.approx(100, abs=1e-6)
 
 
+def test_bodies_stay_with_their_actors_whatever_a_client_does_to_these(drive: Path) -> None:
+    world = lit_world()
+    world.replay_file(drive, 1.0)
+    world.run(0.5)
+    hero = next(actor for actor in world.vehicles.actors if actor.is_hero)
+    body = world.vehicles.bodies[hero.row]
+    assert body.velocity.length > 1
+    hero.set_target_velocity(Vector())
+    hero.transform = at(300.0)
+    world.tick()
+    assert body.position == pytest.approx((hero.transform.location.x, hero.transform.location.y), abs=1e-6)
+
+
 @pytest.mark.parametrize("id", [4, 6])
 def test_physics_that_is_switched_on_moves_no_replayed_actor(drive: Path, id: int) -> None:
     world, alone = lit_world(), lit_world()
