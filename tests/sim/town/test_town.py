@@ -183,6 +183,16 @@ def test_heights_are_those_of_the_road(brickfield: Town) -> None:
     assert brickfield.height(points[:, 0] + 0.4, points[:, 1] - 0.4) == pytest.approx(points[:, 2], abs=0.1)
 
 
+def test_lanes_above_each_other_are_distinguished_by_height(tmp_path: Path) -> None:
+    below = road(1, sections=section(0, right=lane(-1)))
+    above = road(2, x=50, y=-50, heading=np.pi / 2, height=6, sections=section(0, right=lane(-1)))
+    both = made_of(tmp_path, below, above)
+    (cross,) = ({(round(x), round(y)) for x, y in both.lanes[0].points[:, :2]}) & {(52, 2)}
+    for z, expected in ((0.0, 1), (6.0, 2)):
+        lanes, _ = both.nearest_lane([cross[0]], [cross[1]], z=[z])
+        assert both.lanes[lanes[0]].road_id == expected
+
+
 def test_each_of_many_roads_above_each_other_has_its_height(tmp_path: Path) -> None:
     levels = 5.0 * np.arange(8)
     turns = enumerate(levels.tolist())
