@@ -184,11 +184,11 @@ def test_what_listeners_do_is_recorded_in_the_next_frame(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("name", "wide"), [("a.mcap", False), ("a.mcap", True), ("a.log", True)])
-def test_poses_and_velocities(tmp_path: Path, name: str, wide: bool) -> None:
-    """What else a frame has is what a replay shows of it: see `test_replayer`."""
+def test_poses_controls_and_velocities(tmp_path: Path, name: str, wide: bool) -> None:
     world = lit_world()
     person, hero = spawn_walker(world, at(50.0, 5.0, z=0.9)), spawn_car(world, at(20.0))
-    hero.apply_control(VehicleControl(throttle=0.75, steer=0.125))
+    hero.light_state = 0b1010
+    hero.apply_control(VehicleControl(throttle=0.75, steer=0.125, hand_brake=False))
     person.apply_control(WalkerControl(Vector(0.0, 1.0, 0.0), 1.5))
     last = record(world, tmp_path / name, 20, additional_data=True, wide=wide)[-1]
     precise = 0 if wide else 1e-3
@@ -199,6 +199,12 @@ def test_poses_and_velocities(tmp_path: Path, name: str, wide: bool) -> None:
         expected = (place.x * 100, place.y * 100, place.z * 100, turn.roll, turn.pitch, turn.yaw)
         found = [rows[actor.id][key] for key in ("x", "y", "z", "roll", "pitch", "yaw")]
         assert found == pytest.approx(expected, abs=precise, rel=1e-15)
+    (control,) = named(last, "vehicle_controls")
+    assert (control["steer"], control["throttle"], control["brake"]) == (0.125, 0.75, 0)
+    assert control["gear"] == hero.control.gear
+    assert last["vehicle_lights"].tolist() == [(hero.id, 0b1010)]
+    green = world.traffic_lights[0]
+    assert last["light_states"].tolist()[0] == (green.id, 0, pytest.approx(green.elapsed_time), 2)
     velocities = {row["id"]: row for row in named(last, "velocities")}
     assert list(velocities) == [hero.id, person.id]
     assert velocities[hero.id]["x"] == pytest.approx(hero.velocity.x)
