@@ -7,14 +7,13 @@ import io
 import json
 import re
 import signal
-import sys
 from pathlib import Path
 from subprocess import PIPE, Popen
 
 import pytest
 
 from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS
-from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, run
+from tests.cli.command import COMMAND, ENVIRONMENT, answer, run
 from tests.fleet.campaign import functions
 from tests.roads.straight_road import STRAIGHT_ROAD
 from tests.samples import SAMPLES, names_in
@@ -104,36 +103,6 @@ def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
         said = process.communicate()[1].decode()
     assert re.search("interrupted: [01] of 2 runs done; the same command makes the others", said)
     assert "Traceback" not in said
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "either FILE.py:FUNCTION or --serve"),
-        (["gone.py:run"], "gone.py: "),
-        ([f"{FILE}:gone"], "has no function gone; it has drive, wait_here, misbehave"),
-        ([f"{FILE}:misbehave"], "parameter how: the function needs it; --param how=VALUE,... was expected"),
-        ([f"{FILE}:drive", "--param", "vehicles=1", "--param", "vehicles=2"], "parameter vehicles: is given twice"),
-        ([f"{FILE}:drive", "--param", "vehicles=1..3"], "a range goes with --search"),
-        ([f"{FILE}:drive", "--measure", "beauty"], "'beauty': is no measure of a run; one of collisions, "),
-        ([f"{FILE}:drive", "--search"], "--search needs either --minimize or --maximize"),
-        ([f"{FILE}:drive", "--minimize", "ttc"], "go with --search"),
-        ([f"{FILE}:drive", "--search", "--minimize", "ttc"], "a parameter with a range or several values was expected"),
-        ([f"{FILE}:drive", "--rules", "gone.toml"], "gone.toml"),
-        ([f"{FILE}:drive", "--town", "Nowhere"], "Nowhere"),
-        ([f"{FILE}:drive", "--measure", "score"], "a score needs --route or --from-drive"),
-        ([f"{FILE}:drive", "--route-id", "1"], "--route-id goes with --route"),
-        ([f"{FILE}:drive", "--route", "gone.xml"], "gone.xml"),
-        (["--serve", "gone.py"], "gone.py: is no file"),
-        ([f"{FILE}:drive", "--python", sys.executable], "--python goes with --serve"),
-        ([f"{FILE}:drive", "--report", FILE], "is a file; a folder was expected"),
-    ],
-)
-def test_wrong_arguments_are_one_line(tmp_path, arguments, message):
-    line = error("campaign", *arguments, "--out", tmp_path / "runs", cwd=tmp_path)
-    assert message in line
-    assert len(line) < 600
-    assert not (tmp_path / "runs").exists()
 
 
 def test_recordings_are_scored(tmp_path):

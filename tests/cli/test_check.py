@@ -105,23 +105,6 @@ def test_on_a_terminal_verdicts_are_a_table(runs):
     assert "no-hero-collision" in shown
 
 
-@pytest.mark.parametrize(
-    ("option", "path", "named", "said"),
-    [
-        ("--junit", "file/out.xml", "file", "is a file; a folder"),
-        ("--junit", "", "", "cannot be written: "),
-        ("--junit", "file", "file", "is no XML"),
-        ("--html", "file/out", "file", "is a file"),
-        ("--html", "file", "file", "is a file; a folder was expected"),
-    ],
-)
-def test_what_cannot_be_written_is_an_error_before_anything_is_read(tmp_path, option, path, named, said):
-    (tmp_path / "file").write_bytes(b"a file of mine")
-    message = error("check", "absent.mcap", "--rules", RULES, option, tmp_path / path)
-    assert message.startswith(f"{tmp_path / named}: ")
-    assert said in message
-
-
 def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, monkeypatch):
     def fails(*_):
         raise RecapError("out.xml: cannot be written: No space left on device")

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.cli.command import error
+from tests.fleet.campaign import functions
 from tests.samples import SAMPLES, names_in
 
 EVIL = "\x1b]0;evil\x07\x1b[31m\x9b2J"
 RIG = [{"type": "sensor.other.imu", "id": "imu"}]
 BAD_RIG = [{"type": "sensor.lidar.ray_cast", "id": "lidar", "x": 0, "y": 0, "z": 2, "channels": 0}]
+CAMPAIGN = "campaign --out runs functions.py:drive"
 ONE_OF = "One of --route and --from-drive was expected."
 NO_TIME = "seconds were expected, such as #t=12.1, or #t=12.1,20"
-NEEDED = {"record": "pymunk", "replay": "pymunk", "sense": "embreex", "export": "rerun", "snapshot": "moderngl"}
+SIM = dict.fromkeys(("record", "replay", "campaign"), "pymunk")
+NEEDED = {**SIM, "sense": "embreex", "export": "rerun", "snapshot": "moderngl"}
 """The packages of extras that commands need."""
 CASES = [
     # which command, and the forms of answers
@@ -52,6 +56,12 @@ CASES = [
     ("score b.mcap --from-drive --actor 99999", "b.mcap: no vehicle 99999; known ids are 41 (hero)"),
     ("score b.mcap --route none.xml", "none.xml: No such file or directory"),
     ("score b.mcap --route routes.xml --route-id 9", "routes.xml: there is no route '9'; it has 1, 2"),
+    # rules: what cannot be written is found before anything is read
+    ("check none.mcap --rules rules.toml --junit rig.json/out.xml", "rig.json: is a file; a folder"),
+    ("check none.mcap --rules rules.toml --junit .", "cannot be written: "),
+    ("check none.mcap --rules rules.toml --junit rig.json", "is no XML"),
+    ("check none.mcap --rules rules.toml --html rig.json/out", "rig.json: is a file"),
+    ("check none.mcap --rules rules.toml --html rig.json", "rig.json: is a file; a folder was expected"),
     # files that are written
     ("convert a.log", "Missing argument"),
     ("convert a.log ''", "a path or a URL was expected"),
@@ -117,6 +127,27 @@ CASES = [
     ("replay none.log out.mcap", "none.log"),
     ("replay b.mcap a.txt", "unknown format"),
     ("replay b.mcap a.log", "exists already"),
+    ("campaign --out runs", "either FILE.py:FUNCTION or --serve"),
+    ("campaign --out runs gone.py:run", "gone.py: "),
+    ("campaign --out runs functions.py:gone", "has no function gone; it has drive, wait_here, misbehave"),
+    (
+        "campaign --out runs functions.py:misbehave",
+        "parameter how: the function needs it; --param how=VALUE,... was expected",
+    ),
+    (f"{CAMPAIGN} --param vehicles=1 --param vehicles=2", "parameter vehicles: is given twice"),
+    (f"{CAMPAIGN} --param vehicles=1..3", "a range goes with --search"),
+    (f"{CAMPAIGN} --measure beauty", "'beauty': is no measure of a run; one of collisions, "),
+    (f"{CAMPAIGN} --search", "--search needs either --minimize or --maximize"),
+    (f"{CAMPAIGN} --minimize ttc", "go with --search"),
+    (f"{CAMPAIGN} --search --minimize ttc", "a parameter with a range or several values was expected"),
+    (f"{CAMPAIGN} --rules gone.toml", "gone.toml"),
+    (f"{CAMPAIGN} --town Nowhere", "Nowhere"),
+    (f"{CAMPAIGN} --measure score", "a score needs --route or --from-drive"),
+    (f"{CAMPAIGN} --route-id 1", "--route-id goes with --route"),
+    (f"{CAMPAIGN} --route gone.xml", "gone.xml"),
+    ("campaign --out runs --serve gone.py", "gone.py: is no file"),
+    (f"{CAMPAIGN} --python {sys.executable}", "--python goes with --serve"),
+    (f"{CAMPAIGN} --report functions.py", "is a file; a folder was expected"),
 ]
 
 
@@ -124,8 +155,9 @@ CASES = [
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two recordings, and what else the arguments name."""
     folder = tmp_path_factory.mktemp("errors")
-    for name, sample in (("a.log", "crossing.log"), ("b.mcap", "crash.mcap"), ("routes.xml", "routes.xml")):
+    for name, sample in (("a.log", "crossing.log"), ("b.mcap", "crash.mcap"), ("routes.xml",) * 2, ("rules.toml",) * 2):
         (folder / name).symlink_to(SAMPLES / sample)
+    (folder / "functions.py").symlink_to(functions.__file__)
     (folder / "rig.json").write_text(json.dumps(RIG))
     (folder / "bad.json").write_text(json.dumps(BAD_RIG))
     (folder / "broken.xodr").write_text("<OpenDRIVE/>")
@@ -139,5 +171,7 @@ def test_an_error_is_a_line_that_says_what_to_do(folder: Path, arguments: str, m
     words, before = shlex.split(arguments), names_in(folder)
     if words[0] in NEEDED:
         pytest.importorskip(NEEDED[words[0]], reason="an extra is not installed")
-    assert message in error(*words, cwd=folder)
+    said = error(*words, cwd=folder)
+    assert message in said
+    assert len(said) < 600
     assert names_in(folder) == before

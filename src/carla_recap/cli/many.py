@@ -13,7 +13,6 @@ from itertools import chain
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
-from carla_recap.cli.opening import opened
 from carla_recap.cli.output import (
     PYTHON_HINT,
     collect_warnings,
@@ -91,8 +90,11 @@ class QueryRequest(SourcesRequest):
         The exit code is 2 if a recording cannot be read, else 1 if all have more rows together than allowed.
         """
         if len(self.sources) == 1 and is_one(self.sources[0]):
+            from carla_recap.formats import open_reader
+
             warned = collect_warnings() if self.shape == "json" else None
-            show(query(opened(self.sources[0])), self.form, self.max_rows, warned)
+            with closing(open_reader(self.sources[0])) as reader:
+                show(query(reader), self.shape, self.max_rows, warned)
         from carla_recap.fleet.answers import answers
 
         try:

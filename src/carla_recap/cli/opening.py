@@ -26,15 +26,6 @@ AROUND: Final = 5.0
 _PRINTED: Final = 0.06  # s by which a printed time may be after the end
 
 
-def opened(path: str) -> Reader:
-    """Open a recording, which is closed when the command ends."""
-    from carla_recap.formats import open_reader
-
-    reader = open_reader(path)
-    click.get_current_context().call_on_close(reader.close)
-    return reader
-
-
 @contextmanager
 def opened_part(source: str, given: dict[str, Any]) -> Iterator[tuple[Recording, dict[str, Any]]]:
     """Open the recording that a source means, and yield it with the options of the part that is meant; see `timed`."""

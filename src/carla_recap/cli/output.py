@@ -53,9 +53,8 @@ def collect_warnings() -> list[str]:
     return found
 
 
-def show(answer: Any, form: str | None, max_rows: int | None = None, warned: Sequence[str] | None = None) -> NoReturn:
+def show(answer: Any, form: Form, max_rows: int | None = None, warned: Sequence[str] | None = None) -> NoReturn:
     """Print an answer, in JSON with the warnings, and end the program, with exit code 1 if it has more rows than allowed."""
-    form = form_of(form, compat=getattr(answer, "compat", False))
     write = getattr(import_module(f"carla_recap.output.{form}"), form)
     emit(form, **{form: lambda: write(answer, warned) if form == "json" else write(answer)})
     end(unmet=is_too_many(0 if max_rows is None else len(answer), max_rows))
