@@ -105,6 +105,10 @@ def many_arcs() -> str:
     return opendrive(whole[:start] + arcs + whole[end:])
 
 
+def many_spirals() -> str:
+    return opendrive(*(road(n, length=200, shape='<spiral curvStart="-0.1" curvEnd="0.2"/>') for n in range(1, 2001)))
+
+
 def entities() -> str:
     names = "abcdefghij"
     each = "".join(f'<!ENTITY {name} "{10 * f"&{before};"}">' for before, name in pairwise(names))
@@ -185,10 +189,8 @@ MAPS: dict[str, tuple[tuple[str, ...], Callable[[], str]]] = {
     ),
     "many lanes": (("load_road_network",), lambda: opendrive(*MANY_LANES[:2000])),
     "many lanes in a town": (("load_rules", "load_town_mesh"), lambda: opendrive(*MANY_LANES)),
-    "many spirals at one place": (
-        ("load_road_network", "load_town_mesh"),
-        lambda: opendrive(*(road(n, length=200, shape='<spiral curvStart="-0.1" curvEnd="0.2"/>') for n in range(1, 2001))),
-    ),
+    "many spirals at one place": (("load_road_network",), many_spirals),
+    "spirals above each other": (("load_town_mesh",), many_spirals),
     "a road of many arcs": (("load_road_network",), many_arcs),
     "a ring of links": (
         ("load_road_network", "load_rules"),
