@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from carla_recap.formats.carla_log import pack_header
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import Framing
-from carla_recap.model.records import UE4, UE5
+from carla_recap.model.records import UE4, UE5, Group
 from tests.samples import listed, text
 
 if TYPE_CHECKING:
@@ -121,29 +121,49 @@ def varied(packet: Packet, number: int) -> Packet:
     """Return a packet of the same size with another last byte, if any bytes are its records."""
     if packet.type is None or not packet.type.fixed or len(packet.payload) < 3:
         return packet
-    return Packet(packet.id, packet.type, packet.payload[:-1] + bytes((packet.payload[-1] ^ number % 3,)))
+    return Packet(packet.id, packet.type, packet.payload[:-1] + bytes((packet.payload[-1] ^ number % 2,)))
+
+
+def steady_packets(table: Table) -> SearchStrategy[list[Packet]]:
+    """Return packets of different types of states, of small numbers: such as most frames of a recording have."""
+    types = [type for type in known_types(table) if type.group is Group.STATE and type.fixed and type.topic]
+
+    def filled(type: RecordType) -> SearchStrategy[Packet]:
+        record = st.lists(st.integers(0, 1), min_size=type.dtype.itemsize, max_size=type.dtype.itemsize).map(bytes)
+        body = record if type.framing is Framing.SINGLE else st.lists(record, max_size=3).map(lambda found: listed(*found))
+        return body.map(lambda payload: Packet(type.id, type, payload))
+
+    some = st.lists(st.sampled_from(types), max_size=5, unique_by=lambda type: type.id)
+    return some.flatmap(lambda found: st.tuples(*map(filled, found)).map(list))
 
 
 def frame_lists(
     table: Table, first: list[Packet], elapsed: SearchStrategy[float] = real64, alike: tuple[int, ...] = (1,)
 ) -> SearchStrategy[list[Frame]]:
-    """Return frames, each as often as one of some numbers, but for its times and the numbers in it.
+    """Return frames, each as often as one of some numbers, but for its times and a number in each packet.
 
     The first packets are given, so that the reader can detect the dialect.
     """
 
-    def build(parts: list[tuple[int, float, float, list[Packet], int]], preamble: list[Packet] | None) -> list[Frame]:
+    def build(
+        parts: list[tuple[int, float, float, list[Packet], list[float]]], preamble: list[Packet] | None
+    ) -> list[Frame]:
         frames = [] if preamble is None else [Frame(0, 0, 0.0, 0.0, first + preamble, preamble=True)]
-        for id, at, duration, found, count in parts:
-            for number in range(count):
+        for id, at, duration, found, steps in parts:
+            for number in range(len(steps)):
                 packets = [varied(packet, number) for packet in found]
                 packets = packets if frames else first + packets
-                frames.append(Frame(len(frames), (id + number) % (1 << 64), at + number / 20, duration, packets))
+                frames.append(Frame(len(frames), (id + number) % (1 << 64), at + sum(steps[:number]), duration, packets))
         return frames
 
     # A frame is what lies between two starts.
     found = st.lists(packets(table), max_size=6)
-    body = st.tuples(st.integers(0, (1 << 64) - 1), elapsed, real64, found, st.sampled_from(alike))
+    if alike != (1,):
+        found = st.one_of(found, steady_packets(table), steady_packets(table))
+        elapsed = st.one_of(st.floats(0, 20), st.floats(0, 20), elapsed)
+    step = st.sampled_from([0.05, 0.05, 0.0, 2.0, -1.0])
+    steps = st.sampled_from(alike).flatmap(lambda count: st.lists(step, min_size=count, max_size=count))
+    body = st.tuples(st.integers(0, (1 << 64) - 1), elapsed, real64, found, steps)
     preamble = st.one_of(st.none(), st.none(), st.lists(packets(table), max_size=3))
     if not first:
         preamble = st.none()

@@ -132,7 +132,9 @@ def test_as_the_twin_has_it_in_blocks_of_any_size(
         found = detector.finish()
     expected = twin.braking(frames, range(1, 5), deceleration)
     assert [(each.id, each.start, each.stop) for each in found] == [each[:3] for each in expected]
-    for each, (*_, hardest) in zip(found, expected, strict=True):
-        assert (detector.by_tyres(each) is None) is math.isnan(hardest)
-        if not math.isnan(hardest):
+    for each, (*_, first, last, hardest) in zip(found, expected, strict=True):
+        possible = detector.by_tyres(each)
+        assert (possible is None) is math.isnan(hardest)
+        if possible is not None:
+            assert (possible.start, possible.stop) == (first, last)
             assert detector.hardest(each.id, each.start, each.stop)[0] == pytest.approx(hardest, abs=1e-5)

@@ -10,8 +10,8 @@ import numpy as np
 from carla_recap.model.frame import Frame
 from tests.twins.motion import FAULTY, belongs, velocities
 
-Interval = tuple[int, float, float, float]
-"""The vehicle, the start, the end, and the greatest deceleration that tyres can do; NaN if they can do nothing of it."""
+Interval = tuple[int, float, float, float, float, float]
+"""The vehicle, the start and the end; of what tyres can do the same and the greatest deceleration, NaN if it is nothing."""
 TYRES = 3.5 * 9.81  # m/s²
 
 
@@ -77,8 +77,10 @@ def _of_vehicle(frames: Sequence[Frame], id: int, deceleration: float) -> list[I
                 parts[-1].append(row)
             else:
                 parts.append([row])
-        values = [slopes[row] for part in parts if is_enough(part) and tyres_can(part) for row in part]
-        intervals.append((id, first, last, max(values, default=math.nan)))
+        possible = [row for part in parts if is_enough(part) and tyres_can(part) for row in part]
+        during = [times[row] for row in possible] or [math.nan]
+        hardest = max((slopes[row] for row in possible), default=math.nan)
+        intervals.append((id, first, last, min(during), max(during), hardest))
     return intervals
 
 

@@ -7,11 +7,15 @@ import os
 from itertools import pairwise
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap import records
 from mcap.reader import make_reader
 
 from carla_recap import RecapError, RecordError, clip, convert, open_recording, recover
+from carla_recap.editing.author import packets_of
 from carla_recap.formats import create_writer
+from carla_recap.formats.mcap import writer
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZE
 from carla_recap.formats.sources import LocalSource
@@ -117,6 +121,28 @@ def test_a_frame_that_is_too_large_for_a_chunk_is_cut(tmp_path):
     path = write(tmp_path / "large.mcap", HEADER, [frame])
     assert max(chunk.uncompressed_size for chunk in chunks_of(path)) < FRAME_SIZE + (2 << 20)
     assert len(images(path)[0][-1]) == 20
+
+
+STEPS = st.lists(st.sampled_from((0.05, 0.05, 0.0, 2.0, -1.0)), min_size=20, max_size=40)
+
+
+@given(st.lists(st.tuples(st.integers(1, 5), STEPS), min_size=1, max_size=3), st.sampled_from([3_000, 30_000]))
+def test_batches_are_written_as_their_frames_are(tmp_path, parts, size):
+    """The clock may stand still, or jump, and chunks end anywhere."""
+    now, frames = 0.0, []
+    for count, steps in parts:
+        for number, step in enumerate(steps):
+            now, ids = now + step, range(count)
+            moved, lit, driven = ([(id, *[number % 2] * fields) for id in ids] for fields in (6, 3, 5))
+            records = {"transforms": moved, "light_states": lit, "vehicle_controls": driven, "visual_time": number}
+            packets = packets_of(UE4, records, additional_data=True)
+            frames.append(Frame(len(frames), len(frames) + 1, now, 0.05, packets))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writer, "CHUNK_SIZE", size)
+        patch.setattr(writer, "CHUNK_FRAMES", 17)
+        one, all = (write(tmp_path / f"{name}", HEADER, frames) for name in ("one.mcap", "all.log"))
+        convert(all, tmp_path / "all.mcap", force=True)
+    assert (tmp_path / "all.mcap").read_bytes() == one.read_bytes()
 
 
 # --- times -----------------------------------------------------------------------------------------------
