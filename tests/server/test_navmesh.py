@@ -256,7 +256,7 @@ def test_sharp_bends_and_places_that_are_one_stay_convex() -> None:
 
 WALKERS = 8
 SPEED = 1.4  # m/s
-SECONDS = 20
+SECONDS = 12
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ SAME = {
     "sensors": ["each_frame_comes_to_queues_of_several_sensors_on_several_vehicles", "synchronous_mode"],
     "traffic_manager": ["episodes_begin_while_it_lives[synchronous-4]"],
     "vehicles": [
-        *("a_car_comes_to_the_speed_that_it_is_told", "the_road_tells_the_car_its_limit_and_its_light"),
+        *("a_car_comes_to_the_speed_that_it_is_told[8.0]", "the_road_tells_the_car_its_limit_and_its_light"),
         "the_physics_control_of_every_blueprint_comes_back_as_it_was_sent",
     ],
     "world": [
