@@ -233,6 +233,8 @@ def check_any(source: Path, path: Path, start: float, duration: float) -> None:
         assume(is_same or path.suffix == ".mcap")
         assert is_same
     indices = window(source, start, duration)
+    weathers = len(frames_of(path)[0]["weather"]), len(frames_of(source)[indices[0]]["weather"])
+    assert weathers[0] <= max(weathers[1], 1)
     here, there = images(source), images(path)
     own, original = [found[-1] for found in there[1:]], [here[index][-1] for index in indices[1:]]
     assert own[1:] == original[1:]

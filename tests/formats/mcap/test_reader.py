@@ -7,10 +7,12 @@ import tracemalloc
 import warnings
 from dataclasses import replace
 from functools import cache
+from itertools import groupby
+from operator import itemgetter
 
 import pytest
 import zstandard
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap import records
 from mcap.writer import CompressionType, Writer
@@ -220,6 +222,27 @@ SHORT = struct.pack("<BQHIQQ", 5, 21, 2, 1, 0, 0) + b"12345678"
 def test_a_record_that_is_cut_or_shorter_than_its_fields_is_an_error(data):
     with pytest.raises(BrokenRecords, match="no whole record at byte"):
         list(message_runs(data, 1))
+
+
+MESSAGES = st.lists(st.tuples(st.sampled_from([1, 2, 3]), st.binary(max_size=2)), min_size=1, max_size=3)
+
+
+@given(st.lists(st.tuples(st.integers(1, 2), MESSAGES, st.integers(1, 5)), max_size=5))
+@example([(1, [(2, b"a")], 3), (1, [(2, b"a"), (2, b"b")], 1)])  # the last of frames that are alike has one more
+def test_runs_have_the_frames_of_a_chunk(parts):
+    """Each part is the step to the next sequence, the messages of a frame, and how often it is repeated."""
+    rows, sequence = [], 0
+    for step, messages, times in parts:
+        for _ in range(times):
+            sequence += step
+            rows += [(channel, sequence, data) for channel, data in messages]
+    chunk = b"".join(forge.message(channel, sequence, sequence * 10, data) for channel, sequence, data in rows)
+    found = [
+        [(slot[0], run.sequence + row, bytes(run.message(row, slot))) for slot in run.slots]
+        for run in message_runs(chunk, 1)
+        for row in range(run.number)
+    ]
+    assert found == [list(group) for _, group in groupby(rows, key=itemgetter(1))]
 
 
 def without_start(data):
