@@ -160,6 +160,7 @@ def test_a_terminal_gets_a_table_with_errors(runs):
     assert any("Frame" in heading for heading in headings)
     assert "runs/c.log is not a recording (neither CARLA's log nor MCAP)" in " ".join(plain.split())
     assert shown.splitlines()[-1] == "6 rows; 4 recordings, 1 failed"
+    assert on_terminal("summary", "runs")[1].splitlines()[-1] == "3 rows; 4 recordings, 1 failed"
 
 
 def test_text_on_a_terminal_has_spaces_for_tabs(whole):

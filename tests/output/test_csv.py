@@ -12,7 +12,7 @@ from carla_recap import open_recording
 from carla_recap.output import csv as output
 from carla_recap.queries.measures import measures_over_time
 from carla_recap.queries.recorded_actors import actors
-from tests.cli.command import CROSSING, error
+from tests.cli.command import CROSSING, answer, error
 from tests.replay.scripts import spawn, write
 
 AVOIDED = CROSSING.with_name("avoided.mcap")
@@ -29,8 +29,8 @@ def table(text):
 
 
 def test_the_columns_are_the_measures_over_time(avoided):
-    series = avoided.time_series("hero")
-    rows = table("".join(output.csv(measures_over_time(avoided.reader))))
+    series = avoided.time_series(44)
+    rows = table(answer("measures", AVOIDED, "--over-time", "--actor", 44, "--csv"))
     assert len(rows) == len(series)
     for name, values in series.columns().items():
         known = [math.isfinite(value) and not (name in ("leader", "threat", "nearest") and value < 0) for value in values]

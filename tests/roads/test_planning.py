@@ -74,15 +74,26 @@ def following(id: int, *marks: tuple[float, str]) -> str:
     return lane(id).replace("</lane>", f"{link}{lines}</lane>")
 
 
-def test_a_route_has_a_point_each_metre() -> None:
-    two = lanes(linked(1, 0, None, 2, following(-1)), linked(2, 100, 1, None, following(-1)))
-    at = RoutePlanner(two).route(np.array([(10.0, -1.0, 0.0), (150.0, 0.0, 0.0)]))
-    x, y, _ = at.position.T
+@pytest.mark.parametrize("way", [1, -1])  # -1: back, on lanes to the left
+def test_a_route_has_a_point_each_metre(way: int) -> None:
+    roads = [linked(1, 0, None, 2, following(-way)), linked(2, 100, 1, None, following(-way))]
+    if way < 0:
+        roads = [text.replace("<left></left>", "").replace("right>", "left>") for text in roads]
+    at = RoutePlanner(lanes(*roads)).route(np.array([(10.0, -way, 0.0), (150.0, 0.0, 0.0)])[::way])
+    x, y, _ = at.position.T if way > 0 else np.array((160.0, 0.0, 0.0))[:, None] - at.position.T
     assert (x[0], x[-1]) == pytest.approx((10.0, 149.0), abs=1.01)
     assert np.diff(x).max() <= 2.0 + 1e-6  # at the end of a lane
     assert (np.diff(x) >= 0).all()
     assert y == pytest.approx(-1.75)
-    assert at.ahead == pytest.approx(np.tile((1.0, 0.0, 0.0), (len(x), 1)), abs=1e-6)
+    assert at.ahead == pytest.approx(np.tile((way, 0.0, 0.0), (len(x), 1)), abs=1e-6)
+
+
+def test_lanes_that_are_shorter_than_the_spacing_have_a_point_at_most() -> None:
+    two = following(-1, (0, "both")) + following(-2, (0, "both"))
+    short, shorter = linked(1, 0, None, 2, two), linked(2, 0.9, 1, None, two)
+    town = lanes(short.replace('length="100"', 'length="0.9"'), shorter.replace('length="100"', 'length="0.5"'))
+    at = RoutePlanner(town).route(np.array([(0.1, -1.75, 0.0), (0.8, -1.75, 0.0)]))
+    assert at.position == pytest.approx(np.array([(0.0, -1.75, 0.0)]))
 
 
 def test_a_lane_for_driving_can_lead_to_one_for_parking() -> None:

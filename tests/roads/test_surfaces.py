@@ -93,6 +93,17 @@ def test_a_lane_of_two_centimetres_is_none(width: float, count: int) -> None:
     assert (build_network(text).lanes["id"] == -2).sum() == count
 
 
+def test_what_the_lanes_of_a_junction_enclose_is_road() -> None:
+    """It is a square from 0 to 8 m."""
+    sides = [(-1, 0, 0), (8, -1, np.pi / 2), (9, 8, np.pi), (0, 9, -np.pi / 2)]
+    lanes = [
+        towns.road(id, x=x, y=y, heading=turn, length=10, junction=9, sections=towns.section(0, right=towns.lane(-1)))
+        for id, (x, y, turn) in enumerate(sides)
+    ]
+    network = build_network(towns.opendrive(*lanes))
+    assert network.on_road(np.array([(4, 4), (7.5, 7.5), (-4, 4)])).tolist() == [True, True, False]
+
+
 @pytest.mark.parametrize(
     ("limits", "message"),
     [

@@ -38,12 +38,14 @@ def test_a_constant_acceleration_in_uneven_frames(tmp_path: Path) -> None:
 
 def test_velocities_that_are_recorded_count_more_than_steps(tmp_path: Path) -> None:
     velocities = [(1, 3.0 * time, 4.0, 0.0, 0.0, 0.0, 90.0) for time in UNEVEN]
-    path = drive(tmp_path / "recorded.mcap", UNEVEN, UNEVEN**2, velocities=velocities)
+    path = drive(tmp_path / "recorded.mcap", UNEVEN, UNEVEN**2 + 1e3 * (np.arange(len(UNEVEN)) >= 20), velocities=velocities)
     with carla_recap.open_recording(path) as recording:
-        motion = CarrierMotion(recording, 1).at((UNEVEN[10] + UNEVEN[11]) / 2)
+        carrier = CarrierMotion(recording, 1)
+    motion = carrier.at((UNEVEN[10] + UNEVEN[11]) / 2)
     assert motion.velocity == pytest.approx((1.5 * (UNEVEN[10] + UNEVEN[11]), -4, 0))  # y counts to the left
     assert motion.acceleration == pytest.approx((3, 0, 0), abs=1e-4)
     assert motion.rotation == pytest.approx((0, 0, -90))
+    assert carrier.at(UNEVEN[20]).velocity == pytest.approx((3 * UNEVEN[20], -4, 0))  # after a jump
 
 
 def test_from_one_life_of_an_id_to_the_next_is_no_motion(tmp_path: Path) -> None:

@@ -172,10 +172,12 @@ def test_the_latest_image_at_a_time(tmp_path: Path, video: bool) -> None:
     path = record(tmp_path / "own.mcap", rig, (each for some in samples for each in maker.of([some])), video=video)
     with open_recording(path) as recording:
         images, later = StoredImages(recording.reader, "own"), StoredImages(recording.reader, "own", 1.74)
+        earlier = StoredImages(recording.reader, "own", stop=0.9)
         assert images.at(0.4) is None
         for stored, time, index in (
             *((images, time, index) for time, index in ((0.5, 0), (0.55, 0), (1.0, 5), (1.71, 12), (9.0, 14))),
             (later, 1.74, 12),
+            (earlier, 9.0, 4),
         ):
             image = stored.at(time)
             assert image is not None
@@ -212,17 +214,19 @@ def test_videos_of_odd_sizes_are_refused() -> None:
         SensorMessages(SensorRig((some.spec,)), HEADER, video=True)
 
 
-def test_a_video_with_an_empty_packet_goes_on(tmp_path: Path) -> None:
+def test_a_video_begins_with_its_first_key_frame_and_goes_on_after_an_empty_packet(tmp_path: Path) -> None:
     pytest.importorskip("av")
     rig = SensorRig((CAMERA,))
     maker = SensorMessages(rig, HEADER, video=True)
     packets = [each.data for _ in range(3) for each in maker.of_sample(Sample(CAMERA, 0.0, POSE, picture()))][1::2]
-    packets.insert(1, CompressedVideo(format="h264", frame_id="own").SerializeToString())
+    cut, empty = (CompressedVideo(format="h264", data=data).SerializeToString() for data in (b"\0\0\1", b""))
+    packets = [packets[1], cut, packets[0], empty, *packets[1:]]
     messages = (("/sensors/own/video", 0.1 * index, packet) for index, packet in enumerate(packets))
     with open_recording(record(tmp_path / "empty.mcap", rig, messages, video=True)) as recording:
         images = StoredImages(recording.reader, "own")
+        assert images.at(0.15) is None
         assert images.at(0.9) is not None
-        assert images.time == pytest.approx(0.3)
+        assert images.time == pytest.approx(0.5)
 
 
 # --- other sensors ------------------------------------------------------------------------------------------------------

@@ -30,14 +30,14 @@ RIG = SensorRig.of(
         {"type": "sensor.other.radar", "id": "radar", **PLACE},
     ]
 )
-STILL = np.zeros(3)
+VELOCITY = np.array((5.0, 1.0, 0.0))  # m/s
 
 
 def moment() -> RayMoment:
-    """Return a moment 2 m above a plane, with two boxes ahead."""
+    """Return a moment 2 m above a plane, with two boxes ahead, that moves."""
     pose = np.array((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
     due = [(spec.id, pose) for spec in RIG]
-    return RayMoment(due, 0.05, BOXES, BOXES.ids, np.zeros((len(BOXES), 3)), STILL)
+    return RayMoment(due, 0.05, BOXES, BOXES.ids, np.zeros((len(BOXES), 3)), VELOCITY)
 
 
 def measured(count: int = 3) -> list[dict[str, bytes]]:
@@ -56,6 +56,9 @@ def test_the_process_measures_as_the_sensors_do() -> None:
     process.close()
     assert [{id: points.tobytes() for id, points in each.items()} for each in found] == measured()
     assert all(len(points) > 10 for each in found for points in each.values())
+    radar = found[0]["radar"]
+    rays = np.stack((np.cos(radar["azimuth"]), np.sin(radar["azimuth"])), axis=1) * np.cos(radar["altitude"])[:, None]
+    assert radar["velocity"] == pytest.approx(-rays @ VELOCITY[:2], abs=1e-4)  # what stands still comes nearer
 
 
 @pytest.mark.parametrize("rays", [7, 1000])

@@ -146,7 +146,10 @@ def test_the_objects_of_ros_bridge_are_a_rig_in_carlas_axes(tmp_path: Path) -> N
     [
         (5, "objects: expected a list of objects"),
         ([{"type": "vehicle.a.b", "id": name, "sensors": []} for name in "ab"], "the id ego_vehicle, found 2"),
-        ([{"type": "vehicle.a.b", "sensors": [{"id": "a", "type": "sensor.camera.rbg"}]}], "sensor.camera.rgb was expected"),
+        (
+            [{"type": "vehicle.a.b", "sensors": [{"id": "a", "type": "sensor.camera.rbg"}]}, {"type": "vehicle.a.b"}],
+            "sensor.camera.rgb was expected",
+        ),
         (
             [{"type": "vehicle.a.b", "sensors": [{**without(LIDAR, *"xyz"), "spawn_point": {"x": "1"}}]}],
             "'top': x: \"1\"; a number",

@@ -184,6 +184,7 @@ DRIVES: Final[dict[str, tuple[Floats, Callable[[float], int], list[str]]]] = {
     "within the tolerance of a limit": (_for(15.0, 2.0), ALWAYS_RED, []),
     "too fast for a moment": (_for(20.0, 0.8), ALWAYS_RED, []),
     "red just before the front crosses": (EASTWARD, red_from(4.7, YELLOW), [f"runs a red light at 36 km/h (light {LIGHT})"]),
+    "red again": (EASTWARD, lambda time: GREEN if 2 < time < 4 else RED, [f"runs a red light at 36 km/h (light {LIGHT})"]),
     "going on at red from before the line": (
         STANDS_BEFORE,
         red_from(7.0),
