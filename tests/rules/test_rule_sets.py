@@ -283,6 +283,7 @@ def test_an_actor_that_stands_has_not_caused_a_collision(judge, speed, rule, fai
     ways = straight(speed, 0.6), straight(-2, 0.6, x=10)
     found = judge(f"collisions = {{ {rule}, max = 0 }}", *ways, hits={4: 2}, walkers=[1])
     assert found.status == ("fail" if (speed > 0.1 if fails is None else fails) else "pass")
+    assert (" caused by " in found.message) == ("of =" in rule and "at_fault = true" in rule), found.message
 
 
 def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):

@@ -373,6 +373,8 @@ def test_without_a_route_a_hero_that_stands_has_driven_until_it_is_blocked(drive
 BOTH = (("outside_route_lanes", 0.2), ("min_speed_infractions", 0.5))
 LATER = (("min_speed_infractions", 0.5), ("yield_emergency_vehicle_infractions", 1.0))
 ENDS = tuple((name, 1.0) for name, kind in INFRACTIONS.items() if kind.ends)
+EACH = tuple((name, 1.0) for name in INFRACTIONS if name != "outside_route_lanes")
+FACTORS = 0.5 * 0.6 * 0.65 * 0.7 * 0.8  # of pedestrians, vehicles, layout, lights, stop signs
 
 
 @pytest.mark.parametrize(
@@ -387,6 +389,9 @@ ENDS = tuple((name, 1.0) for name, kind in INFRACTIONS.items() if kind.ends)
         (BOTH, "2.1", 0.8 / (1 + 0.4 * 0.5)),
         (LATER, "1.0", 1.0),  # which knows neither slow drives nor emergency vehicles
         *((ENDS, formula, 1.0) for formula in ("1.0", "2.0", "2.1")),
+        (EACH, "1.0", FACTORS),
+        (EACH, "2.0", FACTORS * 0.7**3),
+        (EACH, "2.1", 1 / (1 + 1.0 + 0.7 + 0.6 + 0.4 + 0.25 + 0.4 + 0.4 + 0.4)),
     ],
 )
 def test_penalties(infractions: tuple[tuple[str, float], ...], formula: str, penalty: float) -> None:
