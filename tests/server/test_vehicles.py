@@ -36,14 +36,16 @@ def test_a_car_comes_to_the_speed_that_it_is_told(world: carla.World, car: carla
     assert car.get_velocity().x == pytest.approx(speed, abs=0.15)
 
 
-def test_acceleration_and_steering_have_limits(world: carla.World, car: carla.Vehicle) -> None:
+@pytest.mark.parametrize("type_id", ["vehicle.tesla.model3", "vehicle.lincoln.mkz_2020"])
+def test_acceleration_and_steering_have_limits(world: carla.World, type_id: str) -> None:
+    car = spawn(world, type_id, at=FAR)
     told = carla.VehicleAckermannControl(steer=0.2, steer_speed=0.1, speed=20.0, acceleration=1.0)
     car.apply_ackermann_control(told)
     ticks(world, 20)
     assert car.get_wheel_steer_angle(carla.VehicleWheelLocation.FL_Wheel) == pytest.approx(math.degrees(0.1), abs=0.5)
     assert car.get_wheel_steer_angle(carla.VehicleWheelLocation.BL_Wheel) == 0.0
     ticks(world, 80)  # it starts in neutral
-    assert 1.5 < car.get_velocity().length() < 5.1
+    assert 2.0 < car.get_velocity().length() < 5.1
 
 
 def test_the_physics_control_of_every_blueprint_comes_back_as_it_was_sent(world: carla.World) -> None:

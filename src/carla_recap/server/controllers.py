@@ -1,7 +1,8 @@
 """Controllers of vehicles on behalf of clients: Ackermann control and constant velocity.
 
-CARLA runs PID controllers for Ackermann control. The simulator knows its vehicles well enough to compute the throttle or
-brake that gives the desired acceleration, so that there is nothing to tune; the gains that clients set are only kept.
+CARLA runs PID controllers for Ackermann control. Here the throttle or brake is computed that gives a vehicle the desired
+acceleration in gear, and throttle is added while it stays behind that, as when the clutch slips; the gains that clients set
+are only kept.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ T = TypeVar("T")
 _RESPONSE: Final = 0.3  # s: the time constant of the speed
 _MOST: Final = 8.0  # m/s²: the default limit
 _HALT: Final = 0.1  # m/s: below it, a vehicle that is to stand is braked
+_GAIN: Final = 0.1  # of the throttle, in 1/s for each m/s² that is missing
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -62,6 +64,8 @@ class _AckermannState:
     control: AckermannControl
     angle: float = 0.0
     acceleration: float = 0.0
+    speed: float = 0.0
+    added: float = 0.0  # to the throttle
 
 
 class AckermannController:
@@ -80,7 +84,8 @@ class AckermannController:
         if vehicle in self._states:
             self._states[vehicle].control = control
         else:
-            self._states[vehicle] = _AckermannState(control, vehicle.rows.steer_angle[vehicle.row].item())
+            rows, row = vehicle.rows, vehicle.row
+            self._states[vehicle] = _AckermannState(control, rows.steer_angle[row].item(), speed=rows.speed[row].item())
 
     def release(self, vehicle: Vehicle) -> None:
         """Stop driving a vehicle."""
@@ -99,6 +104,8 @@ def _control(vehicle: Vehicle, state: _AckermannState, delta: float) -> VehicleC
     """Return the control that gives a vehicle the desired acceleration."""
     rows, row, wanted = vehicle.rows, vehicle.row, state.control
     speed = rows.speed[row].item()
+    missing = abs(state.acceleration) - abs(speed - state.speed) / delta  # in the latest tick
+    state.speed = speed
     most = wanted.acceleration or _MOST
     acceleration = _limited((wanted.speed - speed) / _RESPONSE, 0.0, abs(most))
     state.acceleration = _limited(acceleration, state.acceleration, abs(wanted.jerk) * delta or float("inf"))
@@ -110,7 +117,8 @@ def _control(vehicle: Vehicle, state: _AckermannState, delta: float) -> VehicleC
     if wanted.speed == 0 and abs(speed) < _HALT:
         return VehicleControl(steer=steer, brake=1.0)
     throttle, brake = rows.pedals(np.array([row]), np.array([forward]), backwards)
-    return VehicleControl(throttle.item(), steer, brake.item(), reverse=backwards)
+    state.added = min(max(state.added + _GAIN * missing * delta, 0.0), 1.0) if forward > 0 else 0.0
+    return VehicleControl(min(throttle.item() + state.added, 1.0), steer, brake.item(), reverse=backwards)
 
 
 def _for_each(states: dict[Vehicle, T], act: Callable[[Vehicle, T], None]) -> None:
