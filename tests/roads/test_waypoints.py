@@ -64,6 +64,11 @@ def test_a_place_beside_a_road_is_on_its_nearest_lane() -> None:
     assert parked.position[0].tolist() == [30.0, -5.25, 0.0]
 
 
+def test_the_width_of_a_lane_between_its_stations() -> None:
+    town = lanes(road(sections=section(0, right=lane(-1).replace('b="0"', 'b="0.1"'))))
+    assert town.at(np.zeros(2, np.int64), np.array([30.0, 30.2])).width == pytest.approx([6.5, 6.52], abs=1e-4)
+
+
 def test_far_places_and_kinds_without_lanes_have_no_lane() -> None:
     town = lanes(road(sections=section(0, right=lane(-1))))
     far = np.array([(50.0, FARTHEST + 5, 0.0), (np.nan, 0.0, 0.0), (50.0, 40.0, 0.0)])

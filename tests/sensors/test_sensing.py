@@ -142,6 +142,7 @@ def test_points_lie_on_the_pixels_of_their_actors(frames: list[SensedFrame]) -> 
 def test_radars_measure_where_and_how_fast(frames: list[SensedFrame]) -> None:
     for frame in frames[1:]:
         found = frame.samples["radar"].data
+        assert frame.samples["radar"].velocity == pytest.approx((0, 0, 0))
         assert len(found) > 500
         ahead = found[(np.abs(found["azimuth"]) < 0.05) & (found["altitude"] > -0.05) & (found["depth"] < 30)]
         assert ahead["velocity"] == pytest.approx(SPEED, abs=0.05)
@@ -168,6 +169,13 @@ def test_optical_flow_is_the_motion_of_pixels(frames: list[SensedFrame]) -> None
     left, _, right, _ = pixels_of(frames[2], AHEAD)
     assert flow[row, left + 4, 0] > 0.1
     assert flow[row, right - 4, 0] < -0.1
+
+
+def test_a_camera_alone_shows_what_it_shows_among_others(frames: list[SensedFrame], tmp_path: Path) -> None:
+    rig = SensorRig.of([each for each in RIG.to_dicts() if each["id"] == "flow"])
+    with carla_recap.open_recording(drive(tmp_path / "cars.mcap")) as recording:
+        for alone, frame in zip(sense(recording, rig, quality="low"), frames, strict=True):
+            assert (alone.samples["flow"].data == frame.samples["flow"].data).all()
 
 
 def test_a_carrier_at_rest(frames: list[SensedFrame]) -> None:

@@ -306,13 +306,12 @@ class _Sensing:
 
     def _begin(self, scene: Scene, before: Scene | None) -> Callable[[], SensedFrame]:
         """Begin to sense a moment; return what waits for the images."""
-        batch = scene.batch if len(scene.batch) == 1 else scene.batch[scene.row : scene.row + 1]
-        description = self._describer.describe(batch)
+        description = self._describer.describe(scene.batch)
         carrier, pose = carrier_of(scene, self._options.actor)
         if carrier != self._carrier and self._cameras is not None:
             self._cameras.forget()
         self._carrier = carrier
-        moving = None if self._scene_motion is None else np.nan_to_num(self._scene_motion.velocities(batch)[0])
+        moving = None if self._scene_motion is None else np.nan_to_num(self._scene_motion.velocities(scene.batch)[0])
         images: list[Callable[[], dict[str, NDArray[Any]]]] = []
         motion: Motion | None = None
         placed: list[PlacedSensor] = []
