@@ -193,7 +193,7 @@ def worlds(path: Path, first: int = 0) -> list[Any]:
                 for id, actor in world.actors.items()
             }
             doors = sorted((id, sorted(open)) for id, open in world.doors.items() if id in there)
-            told = [sorted(rows.items()) for rows in properties.values()]
+            told = [sorted((id, row) for id, row in rows.items() if id in there) for rows in properties.values()]
             found.append(plain([sorted(there.items()), frame["transforms"], doors, world.scene_lights, told]))
         return found
 
