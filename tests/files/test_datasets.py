@@ -249,6 +249,14 @@ def test_the_tables_of_nuscenes_refer_to_each_other(recording: Path) -> None:
         known = {row["token"]: row for row in tables[name]}
         assert all(known[row["next"]]["prev"] == token for token, row in known.items() if row["next"])
         assert [row["prev"] for row in known.values()].count("") == chains
+    for table, form, many in (
+        ("scene", "{}_sample_token", "sample"),
+        ("instance", "{}_annotation_token", "sample_annotation"),
+    ):
+        for whole in tables[table]:
+            own = [row["token"] for row in tables[many] if row[f"{table}_token"] == whole["token"]]
+            ends = [whole[form.format(end)] for end in ("first", "last")]
+            assert (*ends, whole[f"nbr_{many.removeprefix('sample_')}s"]) == (own[0], own[-1], len(own))
     assert len(tables["sample_data"]) == 3 * len(RIG)
     assert all((folder / row["filename"]).stat().st_size > 0 for row in [*tables["sample_data"], *tables["map"]])
     times = [row["timestamp"] for row in tables["sample"]]

@@ -248,14 +248,15 @@ def test_an_obstacle_detector_can_be_limited_to_what_moves() -> None:
     wall = np.array([(20.0, -10.0, 0.0), (20.0, 10.0, 0.0)])
     host = Host(flat_world(barriers=[wall]))
     car = vehicle(host)
-    host.world.spawn("static.prop.container", at(12.0, 1.0))
+    container = host.world.spawn("static.prop.container", at(12.0, 1.0))
     everything, moving, short, beside = (
         sensor(host, "other.obstacle", car, at(2.5, y, z=0.8), distance=distance, only_dynamics=only)
         for y, distance, only in ((0.0, "50", "False"), (0.0, "50", "True"), (0.0, "3", "False"), (-5.0, "50", "false"))
     )
     host.tick()
-    own, other, _ = msgpack.unpackb(everything.payload())
+    own, other, distance = msgpack.unpackb(everything.payload())
     assert (own[0], other[2][1]) == (car.id, "static.prop.container")
+    assert distance == pytest.approx(12.0 - container.box.extent.x - 2.5 - 0.5, abs=0.01)
     assert moving.take() + short.take() == []
     _, other, distance = msgpack.unpackb(beside.payload())
     assert other[2][1] == "static.wall"
