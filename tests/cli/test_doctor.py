@@ -85,6 +85,12 @@ def test_the_text_has_all_parts():
     assert any(line.split()[0] == BUILT_IN for line in lines)
 
 
+def test_maps_are_listed_with_their_files(tmp_path):
+    (tmp_path / "Somewhere.xodr").write_text("<OpenDRIVE/>")
+    found = doctor(CARLA_RECAP_MAPS=tmp_path)["maps"]
+    assert (found["folder"], found["files"]["Somewhere"]) == (str(tmp_path), str(tmp_path / "Somewhere.xodr"))
+
+
 def test_files_in_place_of_folders_are_named(tmp_path):
     file = tmp_path / "file"
     file.touch()

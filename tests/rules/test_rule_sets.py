@@ -10,7 +10,7 @@ from carla_recap.errors import RecapError
 from carla_recap.queries.measures import MEASURES, SHORT_NAMES
 from carla_recap.rules.rule_sets import RulesError, parse_rules
 from tests.rules.conftest import straight
-from tests.samples import SAMPLES, save
+from tests.samples import SAMPLES, carla_log, save, warnings_ignored
 from tests.waiting import time_limit
 
 
@@ -114,7 +114,7 @@ def test_a_recording_is_compared_with_its_baseline(tmp_path, name, status, messa
 
 
 @pytest.mark.parametrize(
-    ("sample", "rule", "time", "actors", "details"),
+    ("sample", "rule", "time", "actors", "details", "last"),
     [
         (
             "crash",
@@ -122,15 +122,31 @@ def test_a_recording_is_compared_with_its_baseline(tmp_path, name, status, messa
             12.1,
             (41, 44),
             ["12.10 s: hero coll", "15.15 s: hero coll"],
+            ": hero collides with walker.pedestrian.0004 (44) at 12.10 s",
         ),
-        ("avoided", 'incidents = { kind = "near-miss", max = 0 }', 10.6, (41, 44), ["10.60 s: hero come"]),
-        ("crash", 'actors = { of = "hero", min = 2 }', None, (), []),  # nobody is to blame if there are too few
+        (
+            "avoided",
+            'incidents = { kind = "near-miss", max = 0 }',
+            10.6,
+            (41, 44),
+            ["10.60 s: hero come"],
+            "walker.pedestrian.0004 (44) at 11.00 s, at 50 km/h",  # which names one time
+        ),
+        ("crash", 'actors = { of = "hero", min = 2 }', None, (), [], " of at least 2"),  # nobody is to blame for too few
     ],
 )
-def test_a_failure_has_the_time_the_actors_and_all_offences(sample, rule, time, actors, details):
+def test_a_failure_has_the_time_the_actors_and_all_offences(sample, rule, time, actors, details, last):
     found = verdict(f"{sample}.mcap", rule)
     assert (found.rule, found.status, found.time, found.actors) == ("it", "fail", pytest.approx(time), actors)
+    assert found.message.endswith(last)
     assert [text[:18] for text in found.details] == details
+
+
+def test_times_that_are_no_numbers_are_left_out():
+    with warnings_ignored(), open_recording(carla_log("times.log")) as recording:
+        (found,) = check(recording, parse_rules("[rules.it]\ncollisions = { max = 0 }", "rules.toml"))
+    assert (found.status, found.time) == ("fail", None)
+    assert found.message == "22 collisions instead of at most 0: v (13) collides with v (5)"
 
 
 def test_a_rule_about_collisions_asks_a_web_server_once_and_baselines_can_be_there(web):
