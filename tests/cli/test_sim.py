@@ -21,12 +21,12 @@ FEW = ("--vehicles", "3", "--walkers", "2", "--duration", "2")
 
 
 def test_record(tmp_path):
-    path = tmp_path / "traffic.mcap"
-    done = run("record", path, *FEW, "--hero", "--seed", "4", "--additional-data")
+    path, undated = tmp_path / "traffic.mcap", {key: ENVIRONMENT[key] for key in ENVIRONMENT if key != "SOURCE_DATE_EPOCH"}
+    done = run("record", path, *FEW, "--hero", "--seed", "4", "--additional-data", env=undated)
     assert (done.returncode, done.stdout) == (0, b"")
     assert wrote(done.stderr) == [f"{path}: 40 frames, 1.95 s"]
     with open_recording(path) as recording:
-        assert recording.info.map_name == "Brickfield"
+        assert (recording.info.map_name, recording.header.date) == ("Brickfield", 1_767_261_600)  # of a seed, on any day
         assert recording.info.additional_data
         kinds = [actor.kind for actor in recording.actors.values()]
         assert (kinds.count("vehicle"), kinds.count("walker")) == (3, 2)
@@ -101,14 +101,15 @@ def test_a_replay_is_recorded_with_what_the_autopilot_drives(tmp_path):
     assert after.x[:21] == pytest.approx(before.x[before.time > 9.999][:21], abs=0.01)
 
 
-def test_a_replay_in_a_given_town(tmp_path):
-    done = run("replay", CROSSING, tmp_path / "a.mcap", "--town", "Brickfield", "--duration", "1", "--then", "0")
+def test_a_replay_in_a_given_town_without_the_hero(tmp_path):
+    part = ("--duration", "1", "--then", "0", "--ignore-hero")
+    done = run("replay", CROSSING, tmp_path / "a.mcap", "--town", "Brickfield", *part)
     assert done.returncode == 0
     first, second = done.stderr.decode().splitlines()
     assert first.endswith("crossing.log: is a recording of the map 'Crossing', and replayed in 'Brickfield'")
     assert "22 frames" in second
     with open_recording(tmp_path / "a.mcap") as recording:
-        assert recording.info.map_name == "Brickfield"
+        assert (recording.info.map_name, recording.heroes) == ("Brickfield", [])
 
 
 def test_a_recording_is_not_replayed_onto_itself(tmp_path):
