@@ -44,6 +44,7 @@ def test_ctrl_c_does_not_wait_for_a_server(tmp_path):
 CLIPS = {
     ("#t=20.5",): (15.5, 25.5),
     ("#t=2",): (0, 7),
+    ("#t=53.05",): (48.05, 53),  # as printed of a moment at its end, rounded
     ("#t=20,21.5",): (20, 21.5),
     ("#t=20", "--duration", "3"): (15, 18),
     ("#t=20", "--start", "1", "--duration", "2"): (1, 3),
