@@ -182,6 +182,7 @@ def test_the_latest_image_at_a_time(tmp_path: Path, video: bool) -> None:
             image = stored.at(time)
             assert image is not None
             assert np.median(np.abs(image[8:16].astype(int) - samples[index].data[8:16])) < 12
+            assert stored.time == pytest.approx(0.5 + index * 0.1)
         with pytest.raises(RecapError, match=r"has no images of a sensor 'other'"):
             StoredImages(recording.reader, "other")
 
