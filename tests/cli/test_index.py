@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.command import answer, error, on_terminal, run, the_line, wrote
+from tests.cli.command import answer, error, on_terminal, run, wrote
 from tests.samples import SAMPLES
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
@@ -92,14 +92,15 @@ def test_values_of_every_kind_are_printed(index):
         "'nan'::double": None,
         "date '2026-01-02'": "2026-01-02",
         "timestamp '2026-01-02 03:04:05'": "2026-01-02 03:04:05",
-        "timestamptz '2026-01-02 03:04:05+00'": "2026-01-02 03:04:05+00:00",
+        "timestamptz '2026-01-02 03:04:05+00'": "2026-01-02 03:04:05+00",
         "time '03:04:05'": "03:04:05",
-        "'ab'::blob": "6162",
+        "'ab'::blob": "ab",
         "map {'a': 1}": {"a": 1},
         "map {}": {},
-        "interval '2 days'": "MonthDayNano(months=0, days=2, nanoseconds=0)",
+        "interval '2 days'": "2 days",
         "{'a': [1, null]}": {"a": [1, None]},
         "null": None,
+        "date 'infinity'": "infinity",
         "true": True,
         "170141183460469231731687303715884105727": 170141183460469231731687303715884105727,
         "'é\n'": "é\n",
@@ -107,14 +108,6 @@ def test_values_of_every_kind_are_printed(index):
     columns = ", ".join(f"{value} as c{number}" for number, value in enumerate(values))
     (row,) = json.loads(answer("sql", index, f"select {columns}", "--json"))["rows"]
     assert list(row.values()) == list(values.values())
-
-
-def test_decimals_have_all_their_digits(index):
-    long = "1234567890123456789.0123456789"
-    query = f"select x, [x] as y, {{'a': x}} as z, 0.5::decimal(9, 2) as half from (select {long}::decimal(38, 10) as x)"
-    row = f'{{"x": {long}, "y": [{long}], "z": {{"a": {long}}}, "half": 0.5}}'
-    assert answer("sql", index, query, "--json") == f'{{"rows": [\n{row}\n]}}\n'
-    assert answer("sql", index, query) == f'x,y,z,half\n{long},[{long}],"{{""a"": {long}}}",0.5\n'
 
 
 def test_columns_of_one_name_are_numbered(index):
@@ -150,11 +143,3 @@ def test_stdin_without_an_end_is_an_error(index, command, message):
     arguments = [index if argument == "INDEX" else argument for argument in command]
     with Path("/dev/zero").open("rb") as zeros:
         assert error(*arguments, stdin=zeros) == message
-
-
-@pytest.mark.parametrize("form", ["--csv", "--json"])
-@pytest.mark.parametrize("query", ["select 'infinity'::date", "select 'infinity'::timestamp as t"])
-def test_a_date_beyond_the_calendar_is_an_error(index, query, form):
-    done = run("sql", index, query, form)
-    assert done.returncode == 2
-    assert the_line(done.stderr).startswith("a date that is not between the years 1 and 9999 cannot be printed")

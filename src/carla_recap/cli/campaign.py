@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv as csv_files
-import io
 import math
 import os
 import sys
 from collections import Counter
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -23,7 +22,7 @@ from carla_recap.cli.output import counted, emit, end, fail, note, say, warn, wr
 from carla_recap.cli.progress import SourcesBar
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
 
     from carla_recap.fleet.campaign import Campaign, FinishedRun
     from carla_recap.fleet.campaign.plan import ParameterRange, Value
@@ -312,15 +311,13 @@ def _reported(
     return rows
 
 
-def _csv(rows: Sequence[FinishedRun]) -> list[str]:
+def _csv(rows: Sequence[FinishedRun]) -> Iterator[str]:
     from carla_recap.fleet.campaign.report import columns
+    from carla_recap.output.csv import line
 
-    text = io.StringIO()
-    names = list(dict.fromkeys(name for row in rows for name in columns(row)))
-    writer = csv_files.DictWriter(text, names, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(map(columns, rows))
-    return [text.getvalue()]
+    found = list(map(columns, rows))
+    names = list(dict.fromkeys(chain.from_iterable(found)))
+    return (line(each) for each in chain([names], (map(row.get, names) for row in found)))
 
 
 def _say_worst(rows: Sequence[FinishedRun], measure: Measure) -> None:

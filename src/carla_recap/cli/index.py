@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 import sys
 from dataclasses import asdict
-from datetime import date, datetime, time
-from decimal import Decimal
 from itertools import chain, islice
-from json import JSONEncoder
+from json import JSONEncoder, loads
 from types import NoneType
 from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeVar
 
@@ -19,6 +14,8 @@ from carla_recap.cli.options import argument, command, flag, together
 from carla_recap.cli.output import counted, emit, end, fail, warn, wrote
 from carla_recap.cli.progress import SourcesBar
 from carla_recap.errors import RecapError
+from carla_recap.output.csv import line
+from carla_recap.output.json import array_of
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
@@ -36,8 +33,7 @@ _MEMORY: Final = 2 << 30  # bytes, for a query and its answer
 _LONGEST_QUERY: Final = 1 << 20  # bytes
 Form = Literal["table", "json", "csv"]
 _PAGE: Final = 500  # rows of a table whose columns are as wide as needed for all of them
-_BATCH: Final = 4096  # rows that are Python objects at a time
-_ENCODER: Final = JSONEncoder(ensure_ascii=False)
+_encoded: Final = JSONEncoder(ensure_ascii=False).encode
 
 
 @command(
@@ -147,55 +143,31 @@ def _without_measures(opened: RecordingIndex) -> int:
 
 
 def show_rows(rows: pa.Table, form: Form) -> None:
-    """Print the rows of an answer on stdout."""
-    names = _different(rows.schema.names)
-    batches = rows.to_batches(max_chunksize=_BATCH)
-    values = chain.from_iterable(zip(*map(_values, batch.columns), strict=True) for batch in batches)
+    """Print the rows of an answer on stdout, with values as DuckDB has them in JSON; those that are not finite are null."""
+    import duckdb
+
+    database = duckdb.connect(config={"threads": 1})
+    answer = database.from_arrow(rows)
+    names = answer.columns  # with numbers behind those that are repeated
+    database.register("answer", answer)
+    database.execute("select to_json(struct_pack(*columns(*)))::varchar from answer")
+    texts = iter(database.fetchone, None)
+    found = (loads(text, parse_constant=lambda _: None) for (text,) in texts)
     write = {"table": _print_table, "json": _json, "csv": _csv}[form]
-    emit(form, **{form: lambda: write(names, values)})
+    emit(form, **{form: lambda: write(names, found)})
 
 
-def _values(column: pa.Array) -> list[Any]:
-    import pyarrow as pa
-
-    try:
-        values: list[Any] = column.to_pylist()
-    except OverflowError:
-        raise RecapError("a date that is not between the years 1 and 9999 cannot be printed; cast it to varchar") from None
-    return [None if value is None else dict(value) for value in values] if pa.types.is_map(column.type) else values
-
-
-def _different(names: list[str]) -> list[str]:
-    """Return names of columns with a number behind those that are repeated."""
-    found: dict[str, None] = {}
-    for name in names:
-        unique, count = name, 0
-        while unique in found:
-            count += 1
-            unique = f"{name}_{count}"
-        found[unique] = None
-    return list(found)
-
-
-def _json(names: list[str], rows: Iterable[tuple[Any, ...]]) -> Iterator[str]:
-    from carla_recap.output.json import array_of
-
+def _json(_: list[str], rows: Iterable[dict[str, Any]]) -> Iterator[str]:
     yield '{"rows": '
-    yield from array_of(_encoded(dict(zip(names, map(_plain, row), strict=True))) for row in rows)
+    yield from array_of(map(_encoded, rows))
     yield "}\n"
 
 
-def _csv(names: list[str], rows: Iterable[tuple[Any, ...]]) -> Iterator[str]:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    for row in chain([tuple(names)], rows):
-        writer.writerow([_text(value) for value in row])
-        yield text.getvalue()
-        text.seek(0)
-        text.truncate()
+def _csv(names: list[str], rows: Iterable[dict[str, Any]]) -> Iterator[str]:
+    return (line(map(_text, cells)) for cells in chain([names], (row.values() for row in rows)))
 
 
-def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
+def _print_table(names: list[str], rows: Iterator[dict[str, Any]]) -> None:
     """Print rows as a table; if it is too wide for the terminal, each row as a list of its values."""
     from rich.console import Console
     from rich.text import Text
@@ -205,28 +177,26 @@ def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
     console = Console()
     count = 0
     while page := list(islice(rows, _PAGE)):
-        kinds = [set(map(type, values)) for values in zip(*page, strict=True)]
-        numbers = [each <= {int, float, Decimal, NoneType} for each in kinds]
-        columns = [
-            TableColumn(name, is_number=is_number, narrowed="never" if is_number else "words", least=1)
-            for name, is_number in zip(names, numbers, strict=True)
-        ]
-        cells = [list(map(_shown, row)) for row in page]
+        columns = []
+        for name in names:
+            is_number = all(type(row[name]) in (int, float, NoneType) for row in page)
+            columns.append(TableColumn(name, is_number=is_number, narrowed="never" if is_number else "words", least=1))
+        cells = [list(map(_shown, row.values())) for row in page]
         if len(names) == 1 or fits(columns, cells, console.width):
             print_table(columns, cells, console, headed=not count)
         else:
             for row in page:
-                console.print(_list_of(names, row))
+                console.print(_list_of(row))
         count += len(page)
     console.print(Text(counted(count, "row")))
 
 
-def _list_of(names: list[str], row: tuple[Any, ...]) -> Table:
+def _list_of(row: dict[str, Any]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
     table = Table.grid(padding=(0, 2))
-    for name, value in zip(names, row, strict=True):
+    for name, value in row.items():
         table.add_row(Text(visible(name), style="bold"), Text(visible(_shown(value))))
     table.add_row()
     return table
@@ -238,38 +208,6 @@ def _shown(value: Any) -> str:
 
 
 def _text(value: Any) -> str:
-    value = _plain(value)
     if value is None:
         return ""
     return value if isinstance(value, str) else _encoded(value)
-
-
-def _encoded(value: Any) -> str:
-    """Return plain values as JSON, decimals with all their digits."""
-    try:
-        return _ENCODER.encode(value)
-    except TypeError:  # of a decimal
-        if isinstance(value, dict):
-            return f"{{{', '.join(f'{_ENCODER.encode(key)}: {_encoded(item)}' for key, item in value.items())}}}"
-        return f"[{', '.join(map(_encoded, value))}]" if isinstance(value, list) else format(value, "f")
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: times as text, numbers that are not finite as null; decimals may remain."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Decimal):
-        if value == value.to_integral_value():
-            return int(value)
-        return near if Decimal(repr(near := float(value))) == value else value
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if type(value) in (list, tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, datetime):
-        return value.isoformat(" ")
-    if isinstance(value, date | time):
-        return value.isoformat()
-    if isinstance(value, bytes):
-        return value.hex()
-    return value if isinstance(value, str | int | None) else str(value)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from carla_recap.tables import column_names
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from carla_recap.output.text import AnyAnswer
 
@@ -23,21 +23,22 @@ def csv(answer: AnyAnswer) -> Iterator[str]:
 
 def heading(row_type: type[Any], *more: str) -> str:
     """Return the line of names, with more of them in front."""
-    return _line([*more, *column_names(row_type)])
+    return line([*more, *column_names(row_type)])
 
 
 def rows(answer: AnyAnswer, *more: str) -> Iterator[str]:
     """Yield the line of each row, with more cells in front."""
     names = column_names(answer.row_type)
     for row in answer:
-        yield _line([*more, *(_cell(getattr(row, name)) for name in names)])
+        yield line([*more, *(_cell(getattr(row, name)) for name in names)])
 
 
 def _cell(value: Any) -> Any:
     return "" if value is None or (isinstance(value, float) and not math.isfinite(value)) else value
 
 
-def _line(cells: list[Any]) -> str:
+def line(cells: Iterable[Any]) -> str:
+    """Return a line of cells."""
     text = StringIO()
     writer(text, lineterminator="\r\n").writerow(cells)  # so that a lone carriage return is quoted, too
     return text.getvalue().removesuffix("\r\n") + "\n"
