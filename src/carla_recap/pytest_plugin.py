@@ -163,34 +163,27 @@ class CarlaWorld:
         self._step: float = options.get("fixed_delta_seconds", TICK)
         self._is_synchronous: bool = options.get("synchronous", True)
         self._is_recording = False
-        self._traffic_manager: carla.TrafficManager | None = None
         if not server.is_alive:  # it has ended during the last test
             server.start()
         self.client = carla.Client(HOST, server.port)
         self.client.set_timeout(_TIMEOUT)
         self.load_world(options.get("map") or BUILT_IN)
 
-    @property
-    def is_served(self) -> bool:
-        """Whether the server has not ended."""
-        return self._server.is_alive
-
     @cached_property
     def world(self) -> carla.World:
         """CARLA's world."""
         return self.client.get_world()
 
-    @property
+    @cached_property
     def traffic_manager(self) -> carla.TrafficManager:
         """A traffic manager of this test alone, synchronous if the world is."""
-        if self._traffic_manager is None:
-            self._traffic_manager = self.client.get_trafficmanager(_free_port())
-            self._traffic_manager.set_synchronous_mode(self._is_synchronous)
-            if self._is_synchronous:
-                # Its first cycle is asynchronous: it forgets each vehicle registered that was spawned since the last tick.
-                # Settings are signalled to managers as ticks are: this returns when the manager waits for the next signal.
-                self.world.apply_settings(self.world.get_settings())
-        return self._traffic_manager
+        manager = self.client.get_trafficmanager(_free_port())
+        manager.set_synchronous_mode(self._is_synchronous)
+        if self._is_synchronous:
+            # Its first cycle is asynchronous: it forgets each vehicle registered that was spawned since the last tick.
+            # Settings are signalled to managers as ticks are: this returns when the manager waits for the next signal.
+            self.world.apply_settings(self.world.get_settings())
+        return manager
 
     def load_world(self, name: str) -> carla.World:
         """Begin a new episode of a map; the recording begins anew.
@@ -225,6 +218,8 @@ class CarlaWorld:
         """Complete the recording; what follows is not recorded. Return its path."""
         if self._is_recording:
             self._is_recording = False
+            if not self._server.is_alive:  # whose answer would be waited for
+                raise RuntimeError("the server has ended")
             self.client.stop_recorder()
             self.client.get_server_version()  # which is answered when the recording is complete
         return self.recording
@@ -257,13 +252,12 @@ class CarlaWorld:
     def close(self) -> None:
         """End callbacks and the traffic manager, and complete the recording; the server may have ended."""
         self._server.end_callbacks()
-        if self._is_recording and self._server.is_alive:
-            self.client.set_timeout(_TO_END)
+        self.client.set_timeout(_TO_END)
+        with suppress(RuntimeError):
+            self.stop_recording()
+        if "traffic_manager" in vars(self):
             with suppress(RuntimeError):
-                self.stop_recording()
-        if self._traffic_manager is not None:
-            with suppress(RuntimeError):
-                self._traffic_manager.shut_down()
+                self.traffic_manager.shut_down()
 
 
 _WORLD: Final = pytest.StashKey[CarlaWorld]()
@@ -344,8 +338,6 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     kept, kept_page = _kept(config, name)
     lines = []
     try:
-        if not world.is_served:
-            return ["recording: none: the server has ended"]
         world.stop_recording()
         make_folder(kept.parent)
         shutil.copyfile(world.recording, kept)

@@ -7,7 +7,7 @@ import os
 import sys
 from collections import Counter
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -163,11 +163,12 @@ def campaign(request: CampaignRequest) -> NoReturn:
         load_town(request.town)  # whose error would be that of each run
     values = _parameters(request.params, is_search=request.is_search)
     how: dict[str, Any] = {name: getattr(request, name) for name in _OF_CAMPAIGNS}
-    made = Campaign(function=_function(request, [*values]), scoring=scoring, **how)
+    function = _function(request, [*values])
     rows: list[FinishedRun] = []
     with ExitStack() as stack:
         processes: Processes = {"jobs": request.jobs, "client": stack.enter_context(cluster(request.dask))}
-        total, runs = _runs(replace(made, client=processes["client"]), request, values)
+        made = Campaign(function=function, scoring=scoring, client=processes["client"], **how)
+        total, runs = _runs(made, request, values)
         folder = request.folder_of_report()
         try:
             most = math.inf if request.keep_going else max(_workers(processes), 2)

@@ -25,7 +25,6 @@ _CLIENT: Final = re.compile(r"carla-[0-9-]+")
 _REQUIREMENT: Final = re.compile(r"([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
 _ON_PROCESSOR: Final = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|software", re.IGNORECASE)
 """The names of OpenGL devices that are programs."""
-_MB: Final = 1e6
 
 
 @options.command()
@@ -80,32 +79,14 @@ def _extras() -> dict[str, dict[str, str | None]]:
 def _maps() -> dict[str, Any]:
     from carla_recap.roads.find import FOLDER, find_maps
 
-    folder = os.environ.get(FOLDER) or None
-    error = _error_of(folder)
-    files = {} if error else {name: str(path) for name, path in find_maps().items()}
-    return {"folder": folder, "files": files, "error": error}
+    return {"folder": os.environ.get(FOLDER) or None, "files": {name: str(path) for name, path in find_maps().items()}}
 
 
 def _cache() -> dict[str, Any]:
     from carla_recap.util.cache import cache_folder, cache_size
 
     folder, (entries, size) = cache_folder(), cache_size()
-    name = None if folder is None else str(folder)
-    return {"folder": name, "entries": entries, "bytes": size, "error": _error_of(name)}
-
-
-def _error_of(folder: str | None) -> str | None:
-    """Return why a folder cannot be listed; None if it can be, or if it does not exist."""
-    from carla_recap.util.files import reason_of
-
-    try:
-        if folder is not None:
-            os.scandir(folder).close()
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        return reason_of(error)
-    return None
+    return {"folder": None if folder is None else str(folder), "entries": entries, "bytes": size}
 
 
 def _version(package: str) -> str | None:
@@ -133,11 +114,9 @@ def _text(found: dict[str, Any]) -> Iterator[str]:
         has = ", ".join(f"{name} {installed}" for name, installed in packages.items())
         extras.append((extra, f"missing: {', '.join(missing)}; {install_command(extra)}" if missing else has))
     maps = list(found["maps"]["files"].items())
-    if found["maps"]["error"]:
-        maps.append(("none", f"{found['maps']['folder']}: {found['maps']['error']}"))
-    elif not found["maps"]["folder"] or len(maps) <= 1:
+    if not found["maps"]["folder"] or len(maps) <= 1:
         maps.append(("others", f"none in {described_folder()}"))
-    size = cache["error"] or f"{counted(cache['entries'], 'file')}, {cache['bytes'] / _MB:.1f} MB"
+    size = f"{counted(cache['entries'], 'file')}, {cache['bytes'] / 1e6:.1f} MB"
     parts = {
         "Versions": [(name, text or "not installed") for name, text in found["versions"].items()],
         "Drawing": drawn,

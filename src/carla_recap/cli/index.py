@@ -14,8 +14,6 @@ from carla_recap.cli.options import argument, command, flag, together
 from carla_recap.cli.output import counted, emit, end, fail, warn, wrote
 from carla_recap.cli.progress import SourcesBar
 from carla_recap.errors import RecapError
-from carla_recap.output.csv import line
-from carla_recap.output.json import array_of
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
@@ -158,12 +156,16 @@ def show_rows(rows: pa.Table, form: Form) -> None:
 
 
 def _json(_: list[str], rows: Iterable[dict[str, Any]]) -> Iterator[str]:
+    from carla_recap.output.json import array_of
+
     yield '{"rows": '
     yield from array_of(map(_encoded, rows))
     yield "}\n"
 
 
 def _csv(names: list[str], rows: Iterable[dict[str, Any]]) -> Iterator[str]:
+    from carla_recap.output.csv import line
+
     return (line(map(_text, cells)) for cells in chain([names], (row.values() for row in rows)))
 
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from click.core import ParameterSource
 
     from carla_recap.queries.incidents import IncidentOptions
-    from carla_recap.queries.kinds import IncidentKind
     from carla_recap.sensors.rig import SensorRig
 
     Command = Callable[..., Any]
@@ -275,41 +274,34 @@ def format_of_files(formats: Sequence[str]) -> Any:
 
 
 class _KindsOption(click.Option):
-    """The option for kinds of incidents, which may be repeated; the table of kinds is imported if its help is asked for."""
-
-    by_default: Any = None
-
-    def process_value(self, ctx: click.Context, value: Any) -> Any:
-        return frozenset[str]().union(*super().process_value(ctx, value)) or self.by_default
+    """The option for kinds of incidents; the table of kinds, which its help names, is imported if that is asked for."""
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         from carla_recap.queries.kinds import KINDS
 
-        self.help = self.words(list(KINDS.values()))
-        return super().get_help_record(ctx)
-
-    @staticmethod
-    def words(kinds: Sequence[IncidentKind]) -> str:
-        """Return what the help says of the kinds."""
+        kinds = list(KINDS.values())
         usual = ", ".join(kind.option for kind in kinds if not kind.every_frame)
         others = ", ".join(kind.option for kind in kinds if kind.every_frame and not kind.needs_roads)
         of_road = ", ".join(kind.option for kind in kinds if kind.needs_roads)
-        return f"The kinds of incidents: {usual} (these if none are given), {others}, with a map {of_road}; or all."
+        every = ", ".join(kind.option for kind in kinds)
+        self.help = str(self.help).format(usual=usual, others=others, of_road=of_road, every=every)
+        return super().get_help_record(ctx)
 
 
-class _ShownKindsOption(_KindsOption):
-    """The option for kinds of incidents where all are shown if none are given."""
+def _kinds_option(help: str, *, otherwise: Literal["all"] | None) -> Any:
+    """Return the option for kinds of incidents, which may be repeated."""
 
-    by_default = "all"
+    def together(_: click.Context, __: click.Parameter, given: tuple[frozenset[str], ...]) -> frozenset[str] | str | None:
+        return frozenset[str]().union(*given) or otherwise
 
-    @staticmethod
-    def words(kinds: Sequence[IncidentKind]) -> str:
-        return f"The kinds of incidents to show: {', '.join(kind.option for kind in kinds)}; by default all."
+    how: dict[str, Any] = {"type": KINDS, "multiple": True, "metavar": "all|KIND,...", "callback": together}
+    return option("--kinds", cls=_KindsOption, help=help, **how)
 
 
-_kinds_option = partial(option, "--kinds", type=KINDS, multiple=True, metavar="all|KIND,...")
-kinds = _kinds_option(cls=_KindsOption)
-shown_kinds = _kinds_option(cls=_ShownKindsOption)
+kinds = _kinds_option(
+    "The kinds of incidents: {usual} (these if none are given), {others}, with a map {of_road}; or all.", otherwise=None
+)
+shown_kinds = _kinds_option("The kinds of incidents to show: {every}; by default all.", otherwise="all")
 before = option("--before", type=NUMBER, default=AROUND, metavar="S", help="Seconds before an incident.")
 after = option("--after", type=NUMBER, default=AROUND, metavar="S", help="Seconds after it.")
 min_distance = option("--min-distance", type=NUMBER, default=10, metavar="CM", help="Least movement, in cm.")

@@ -6,8 +6,8 @@ import math
 import os
 import sys
 from contextlib import contextmanager
+from itertools import count
 from stat import S_ISFIFO
-from time import monotonic
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import click
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_INTERVAL = 0.1  # s between two updates of a bar
-
 
 def _is_shown() -> bool:
     """Return whether bars are shown: on terminals that can, unless the command is quiet, or a worker process."""
@@ -38,8 +36,8 @@ def watch(title: str) -> Callable[..., Iterable[Any]]:
 
     def progress(items: Iterable[Any], source: Reader | Player | None = None) -> Iterable[Any]:
         if source is None:
-            items = list(items)
-            return _bar(items, title, len(items), items.index)
+            items, done = list(items), count()
+            return _bar(items, title, len(items), lambda _: next(done))
         if hasattr(source, "extent"):
             return _bar(items, title, source.extent().duration, lambda batch: batch.elapsed[-1].item())
         return _bar(items, title, source.stop - source.start, lambda scene: scene.time - source.start)
@@ -120,9 +118,6 @@ def _bar(items: Iterable[T], title: str, total: float, position: Callable[[T], f
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total if math.isfinite(total) else None)
-        due = 0.0
         for item in items:
-            if monotonic() >= due:
-                bar.update(task, completed=position(item))
-                due = monotonic() + _INTERVAL
+            bar.update(task, completed=position(item))
             yield item
