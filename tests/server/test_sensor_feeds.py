@@ -215,6 +215,17 @@ def test_a_lidar_sees_boxes_in_its_own_axes_channel_by_channel() -> None:
     assert points[0, 3] == pytest.approx(exp(-0.004 * np.linalg.norm(points[0, :3])), abs=1e-4)
 
 
+def test_a_semantic_lidar_has_ids_and_tags() -> None:
+    host = served()
+    walker = host.world.spawn("walker.pedestrian.0001", at(8.0, z=0.9))
+    lidar = sensor(host, "lidar.ray_cast_semantic", vehicle(host), at(0.0, z=1.0), rotation_frequency="20", **LIDAR)
+    host.tick()
+    point = np.dtype([("place", "<3f4"), ("cosine", "<f4"), ("id", "<u4"), ("tag", "<u4")])
+    rows = np.frombuffer(lidar.payload()[24:], point)
+    assert set(rows[["id", "tag"]].tolist()) == {(walker.id, 12)}
+    assert rows["cosine"].min() > 0.95
+
+
 def test_measurements_are_the_same_for_a_seed() -> None:
     payloads = []
     for seed in ("5", "5", "6"):
