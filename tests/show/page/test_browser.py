@@ -276,13 +276,14 @@ def test_a_link_to_an_incident_plays_through_it_with_its_text(chromium: Chrome, 
     assert "in 0.6 s" in again.text("caption")
 
 
-def test_hostile_texts_are_shown_as_texts(chromium: Chrome, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["page", "page.html"])  # in the latter, a text could end the script that it is in
+def test_hostile_texts_are_shown_as_texts(chromium: Chrome, tmp_path: Path, name: str) -> None:
     there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2**32 - 2, 100, float("nan"), 0, 0, 0, 0), (3, 3e38, -3e38, 0, 0, 0, 0)]}
     actors = [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2**32 - 2, NASTY), spawn(3, "")]
     hits = [(1, 2**32 - 2, 1, 0, 0), (2, 3, 7, 0, 0)]
     frames = [there | {"spawned": actors}, there | {"collisions": hits}, there]
     source = record(tmp_path / "a.log", frames, map_name=NASTY)
-    page = Page(chromium, report(source, tmp_path / "page"))
+    page = Page(chromium, report(source, tmp_path / name))
     for index in range(page.ask("document.querySelectorAll('.incident').length")):
         page.click(".incident", index)
     page.press("f", "h", "l")
