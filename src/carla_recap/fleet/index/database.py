@@ -49,7 +49,11 @@ _OLD_MARKER: Final = "index.json"  # in the folders that indexes were before 0.3
 
 
 class RecordingIndex:
-    """An index of recordings, which `open_index` opens. Each query answers from what it has then."""
+    """An index of recordings, which `open_index` opens. Each query answers from what it has then.
+
+    Attributes:
+        path: The file.
+    """
 
     def __init__(self, path: Path | str) -> None:
         _require()
