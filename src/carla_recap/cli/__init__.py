@@ -52,11 +52,6 @@ _EXTRAS: Final = {
 """By command and missing extra, the extra that brings all that the command needs."""
 
 
-def _function(command: str) -> str:
-    """Return the name of the function of a command."""
-    return f"{command}_" if iskeyword(command) else command
-
-
 class _Commands(click.Group):
     """The commands; if an extra is missing, the error names the command and the extra that brings all that it needs."""
 
@@ -66,7 +61,8 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _MODULES:
             return super().get_command(ctx, cmd_name)
-        command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), _function(cmd_name))
+        function = f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name
+        command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), function)
         if not any(each.name == "quiet" for each in command.params):
             command.params += _of_all()
         return command

@@ -323,12 +323,10 @@ def _csv(rows: Sequence[FinishedRun]) -> Iterator[str]:
 
 def _say_worst(rows: Sequence[FinishedRun], measure: Measure) -> None:
     from carla_recap.fleet.campaign.report import worst_first
-    from carla_recap.fleet.campaign.results import crash_text
+    from carla_recap.fleet.campaign.results import result_text
 
     for row in worst_first(rows, measure)[:_SHOWN]:
         found = row.report.results.get(measure.name)
-        value = f"no {measure.title}" if found is None else f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
         time = "" if found is None or found.time is None else f" at {found.time:.2f} s"
-        crash = crash_text(row.report.results)
         rules = f"; breaks {', '.join(row.broken)}" if row.broken else ""
-        say(f"{os.fspath(row.run.location)}: {f'{crash}, ' * bool(crash)}{value}{time}{rules}", stream=sys.stdout)
+        say(f"{os.fspath(row.run.location)}: {result_text(row.report.results, measure)}{time}{rules}", stream=sys.stdout)

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from itertools import chain, islice
 from json import JSONEncoder, loads
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn
 
 from carla_recap.cli import options
 from carla_recap.cli.options import argument, command, flag, together
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carla_recap.fleet.index.database import RecordingIndex
-
-T = TypeVar("T")
 
 _LONGEST: Final = 200  # characters of the names of maps
 _MEMORY: Final = 2 << 30  # bytes, for a query and its answer
@@ -57,19 +55,13 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
     from carla_recap.queries.roads import WITHOUT_ROADS
     from carla_recap.util.text import readable
 
-    bar = SourcesBar("indexing", None)
+    with cluster(dask) as client, SourcesBar("indexing", None) as bar:
 
-    def watched(outcomes: Iterable[T], count: int) -> Iterator[T]:
-        nonlocal bar
-        with SourcesBar("indexing", count) as bar:
-            yield from bar.counted(outcomes)
+        def report(error: str) -> None:
+            with bar.aside():
+                fail(error)
 
-    def report(error: str) -> None:
-        with bar.aside():
-            fail(error)
-
-    with cluster(dask) as client:
-        summary = write_index(sources, index_file, client=client, progress=watched, report=report, **how)
+        summary = write_index(sources, index_file, client=client, progress=bar.counted, report=report, **how)
     counts = [f"{summary.read:,} read", f"{summary.failed:,} failed", f"{summary.unchanged:,} unchanged"]
     if summary.unreadable:
         counts[-1] += f", {summary.unreadable:,} of them with an error"

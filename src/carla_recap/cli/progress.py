@@ -91,8 +91,10 @@ class SourcesBar:
             self._bar.stop()
             self._bar = None
 
-    def counted(self, items: Iterable[T]) -> Iterator[T]:
-        """Yield items, and count each when it has been taken in."""
+    def counted(self, items: Iterable[T], total: int | None = None) -> Iterator[T]:
+        """Yield items, a number that may be known by now, and count each when it has been taken in."""
+        if self._bar is not None and total is not None:
+            self._bar.update(self._task, total=total)
         for item in items:
             yield item
             if self._bar is not None:

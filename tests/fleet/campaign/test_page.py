@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carla_recap.fleet.campaign.plan import CampaignRun
 from carla_recap.fleet.campaign.report import campaign_page, columns, worst_first
-from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, crash_text, result_named
+from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, result_named, result_text
 from carla_recap.fleet.campaign.runs import FinishedRun, RunReport
 from carla_recap.fleet.check import CheckedRecording
 from carla_recap.rules.rule_sets import Verdict
@@ -102,7 +102,7 @@ def test_of_runs_that_crash_the_fastest_comes_first_and_says_so():
         if speed is not None:
             each.report.results[IMPACT_SPEED.name] = Result(speed, 1.5, 41)
     assert [each.run.seed for each in worst_first(rows, MEASURE)] == [3, 2, 4, 1, 5]
-    crashes = [crash_text(each.report.results) for each in rows]
+    crashes = [result_text(each.report.results, MEASURE).rpartition(", ")[0] for each in rows]
     assert crashes == ["", "crashed at 11 km/h", "crashed at 45 km/h", "crashed", ""]
     assert "12.5 m/s" in shown(rows)
 

@@ -21,7 +21,7 @@ from carla_recap.fleet.campaign.results import (
     SCORE,
     SMOOTHNESS,
     Result,
-    crash_text,
+    result_text,
     severity,
 )
 from carla_recap.fleet.check import check_sources
@@ -133,8 +133,7 @@ def _opening(row: FinishedRun, measure: Measure) -> Opening:
     if found is None:
         return Opening(notes=(run,))
     actors = () if found.actor is None else (found.actor,)
-    value = f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
-    return Opening(found.time, actors, (f"{run}: {', '.join(filter(None, (crash_text(row.report.results), value)))}",))
+    return Opening(found.time, actors, (f"{run}: {result_text(row.report.results, measure)}",))
 
 
 def write_runs(rows: Iterable[FinishedRun], path: Path) -> None:

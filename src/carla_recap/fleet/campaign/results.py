@@ -88,12 +88,14 @@ def severity(results: Mapping[str, Result], measure: Measure) -> tuple[float, fl
     )
 
 
-def crash_text(results: Mapping[str, Result]) -> str:
-    """Return that a run has crashed, and how fast; empty if it has not."""
-    collisions, impact = results.get(COLLISIONS.name), results.get(IMPACT_SPEED.name)
-    if collisions is None or not collisions.value:
-        return ""
-    return "crashed" if impact is None else f"crashed at {impact.value * 3.6:.0f} km/h"
+def result_text(results: Mapping[str, Result], measure: Measure) -> str:
+    """Return that a run has crashed, and how fast, if it has; and the value of a measure, or that there is none."""
+    collisions, impact, found = (results.get(each.name) for each in (COLLISIONS, IMPACT_SPEED, measure))
+    said = []
+    if collisions is not None and collisions.value:
+        said.append("crashed" if impact is None else f"crashed at {impact.value * 3.6:.0f} km/h")
+    value = f"no {measure.title}" if found is None else f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
+    return ", ".join((*said, value))
 
 
 def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, Result]:
