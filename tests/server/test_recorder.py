@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import gzip
+import math
 import re
 import sys
 import threading
@@ -379,8 +380,9 @@ def test_the_options_of_older_and_newer_clients_are_accepted(inside: Inside, opt
     assert inside.world.weather.cloudiness == (77.0 if options[:2] == (False, False) else 0.0)
     inside.host.tick()
     camera, car = inside.world.spectator.transform, hero_of(inside).transform
-    assert (camera.rotation.pitch == pytest.approx(-80.0)) == (OFFSET in options)
-    assert (camera.location.distance(car.location) == pytest.approx(40.0, abs=0.01)) == (OFFSET in options)
+    pitch, away = (-80.0, 40.0) if OFFSET in options else (-25.0, math.hypot(10.0, 5.0))  # from behind, as in CARLA
+    assert camera.rotation.pitch == pytest.approx(pitch)
+    assert camera.location.distance(car.location) == pytest.approx(away, abs=0.01)
 
 
 def test_a_newer_client_can_name_the_map_of_a_replay_and_other_options_are_errors(inside: Inside) -> None:
