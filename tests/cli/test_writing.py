@@ -152,6 +152,13 @@ def test_folders_of_many(runs):
     assert messages(done)[-1] == "recordings: 0 done, 2 skipped, 1 failed"
 
 
+def test_moments_of_many(runs):
+    assert run("clip", "runs/a.log#t=20,21", "runs/deep/b.mcap#t=3,7", "out").returncode == 0
+    for name, seconds in (("a", 1), ("b", 4)):
+        with open_recording(f"out/{name}.mcap") as clip:
+            assert clip.info.duration == pytest.approx(seconds, abs=0.2)
+
+
 def test_a_page_of_each(runs):
     done = run("report", "runs", "out", "--pictures", "none", "--jobs", 2)
     assert done.returncode == 2

@@ -48,13 +48,14 @@ class Drives:
         route: Route | None = ROUTE,
         others: Mapping[int, tuple[Spawn, Sequence[Pose]]] | None = None,
         touches: Iterable[tuple[int, int]] = (),
-        lights: Mapping[int, tuple[Spawn, int]] | None = None,
+        lights: Mapping[int, tuple[Spawn, int | Sequence[int]]] | None = None,
         tick: float = TICK,
         **options: Any,
     ) -> Score:
         """Return the score of a drive.
 
-        Each actor has a pose in each frame; `touches` are frames, and whom the hero touches; lights have one state.
+        Each actor has a pose in each frame; `touches` are frames, and whom the hero touches; lights have one state, or one
+        for each frame.
         """
         actors = {HERO: (vehicle(HERO, "hero"), poses), **(others or {})}
         lights = lights or {}
@@ -69,7 +70,8 @@ class Drives:
                 for x, y, yaw in each[number : number + 1]
             ]
             if lights:
-                frame["light_states"] = [(id, False, 0.0, state) for id, (_, state) in lights.items()]
+                states = ((id, state if isinstance(state, int) else state[number]) for id, (_, state) in lights.items())
+                frame["light_states"] = [(id, False, 0.0, state) for id, state in states]
         write(self.path, frames, header=Header("Brickfield", 1_600_000_000), durations=[tick] * len(frames))
         with closing(open_reader(self.path)) as reader:
             return score(reader, route, ScoreOptions(**options))

@@ -232,6 +232,8 @@ JUMPS = [*at_speed(10.0, 5.0), 600.0, *at_speed(10.0, 5.0)]
     [
         (roads.LIGHT, at_speed(10.0, 30.0), GREEN, []),
         (roads.LIGHT, [*at_speed(10.0, 20.5), *[0.0] * 40], RED, []),  # it stops with its front over the line
+        (roads.LIGHT, at_speed(10.0, 30.0), [GREEN] * 44 + [RED] * 20, ["red_light"]),  # its rear is 0.6 m behind
+        (roads.LIGHT, at_speed(10.0, 30.0), [GREEN] * 46 + [RED] * 20, []),
         (roads.LIGHT, JUMPS, RED, []),
         (roads.STOP, JUMPS, RED, []),
         (roads.STOP, [*at_speed(10.0, 17.0), 0.0, 0.0, *at_speed(10.0, 13.0)], RED, []),
@@ -239,7 +241,7 @@ JUMPS = [*at_speed(10.0, 5.0), 600.0, *at_speed(10.0, 5.0)]
     ],
 )
 def test_what_runs_a_light_or_a_stop_sign(
-    drives: Drives, kind: int, speeds: list[float], state: int, found: list[str]
+    drives: Drives, kind: int, speeds: list[float], state: int | list[int], found: list[str]
 ) -> None:
     poses, signal = over_line(kind, speeds)
     lights = {"red_light", "stop_infraction"}
