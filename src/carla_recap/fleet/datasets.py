@@ -14,7 +14,7 @@ from carla_recap.errors import RecapError
 from carla_recap.exports import FORMATS, write_part
 from carla_recap.files.datasets import SPLITS, TRAIN, DatasetPart, dataset_folder
 from carla_recap.fleet.destinations import DestinationFolder, write_files
-from carla_recap.fleet.engine import as_list, processors
+from carla_recap.fleet.engine import processors
 from carla_recap.fleet.outcomes import WrittenFile
 from carla_recap.fleet.sources import find_sources
 from carla_recap.sensors.options import SensingOptions
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from carla_recap.exports import ExportFormat
-    from carla_recap.fleet.engine import Processes, Sources
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.outcomes import Outcome
-    from carla_recap.fleet.sources import SourceFile
+    from carla_recap.fleet.sources import SourceFile, Sources
     from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig
 
@@ -96,7 +96,7 @@ def export_dataset(
     FORMATS[to].dataset_class.sensors_of(given["rig"], camera)
     SensingOptions(**options)
     write = partial(_export_part, to, given)
-    found = find_sources(as_list(sources), errors="yield")
+    found = find_sources(sources, errors="yield")
     frames, seconds, written, failed = 0, 0.0, [], {}
     with closing(
         write_dataset(write, found, folder, FORMATS[to], split=split, force=force, jobs=jobs, client=client)

@@ -14,7 +14,7 @@ from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.outcomes import one_line
 from carla_recap.formats import SUFFIXES
 from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
-from carla_recap.util.files import make_folder, missing_folders, reason_of, remove_empty, size_of
+from carla_recap.util.files import make_folder, missing_folders, remove_empty, size_of, writing
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -83,20 +83,15 @@ class DestinationFolder:
     missing: set[Path] = field(default_factory=set)  # folders, and those above, that were not there at first
 
     def __post_init__(self) -> None:
-        try:
-            self._check()
-        except (OSError, ValueError) as error:
-            raise RecapError(f"{self.location[:200]}: cannot be written: {reason_of(error)}") from None
-
-    def _check(self) -> None:
         _check_scheme(self.location)
-        if self.suffix and self.location.lower().endswith(self.suffix) and not Path(self.location).is_dir():
-            raise RecapError(f"{self.location}: names a file; a folder was expected, for the files of many recordings")
-        if not is_remote(self.location):
-            self.location = os.fspath(path_of(self.location))
-            there = next((each for each in (Path(self.location), *Path(self.location).parents) if each.exists()), Path())
-            if not there.is_dir():
-                raise RecapError(f"{there}: is a file; a folder was expected, for the files of many recordings")
+        with writing(self.location):
+            if self.suffix and self.location.lower().endswith(self.suffix) and not Path(self.location).is_dir():
+                raise RecapError(f"{self.location}: names a file; a folder was expected, for the files of many recordings")
+            if not is_remote(self.location):
+                self.location = os.fspath(path_of(self.location))
+                there = next((each for each in (Path(self.location), *Path(self.location).parents) if each.exists()), Path())
+                if not there.is_dir():
+                    raise RecapError(f"{there}: is a file; a folder was expected, for the files of many recordings")
         self.location = self.location.rstrip("/") or "/"
 
     def file_of(self, source: SourceFile) -> str:
@@ -110,7 +105,11 @@ class DestinationFolder:
 
         `given` has the files that are written already, or are to be, each with its recording; more are added.
         """
-        uploaded = _modified_below(self.location) if self.newer and is_remote(self.location) else {}
+        uploaded = dict[str, float]()
+        if self.newer and is_remote(self.location):
+            from carla_recap.formats.remote import list_objects
+
+            uploaded = {found.location: found.modified for found in list_objects(self.location, self.location)}
         written = frozenset(given)
         for source in sources:
             path, error = self.file_of(source), source.error
@@ -157,13 +156,6 @@ def is_current(path: str, source: SourceFile, uploaded: Mapping[str, float] | No
     else:
         written = uploaded.get(path, uploaded.get(f"{path}/{_LAST}"))
     return written is not None and written >= source.modified
-
-
-def _modified_below(prefix: str) -> dict[str, float]:
-    """Return the times of the last changes of the objects below a prefix."""
-    from carla_recap.formats.remote import list_objects
-
-    return {found.location: found.modified for found in list_objects(prefix, prefix)}
 
 
 def write_files(

@@ -16,14 +16,11 @@ from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
-    from pathlib import Path
 
     from distributed import Client
 
-    from carla_recap.fleet.sources import SourceFile
+    from carla_recap.fleet.sources import SourceFile, Sources
     from carla_recap.recording import Recording
-
-    Sources = str | Path | Iterable[str | Path]
 
 T = TypeVar("T")
 
@@ -113,7 +110,7 @@ def open_recordings(sources: Sources, *, errors: Literal["raise", "warn"] = "rai
     """
     from carla_recap.recording import open_recording
 
-    for source in find_sources(as_list(sources), errors="yield"):
+    for source in find_sources(sources, errors="yield"):
         try:
             if source.error is not None:
                 raise RecapError(source.error)
@@ -146,13 +143,7 @@ def map_recordings(
     Raises:
         RecapError: The worker processes do not start, or the cluster is gone.
     """
-    found = find_sources(as_list(sources), errors="yield")
-    return map_sources(partial(_call, function), found, **processes)
-
-
-def as_list(sources: Sources) -> Iterable[str | Path]:
-    """Return sources as an iterable, which may be one source."""
-    return [sources] if isinstance(sources, (str, os.PathLike)) else sources
+    return map_sources(partial(_call, function), find_sources(sources, errors="yield"), **processes)
 
 
 def _call(function: Callable[[Recording], T], source: SourceFile) -> T:

@@ -175,8 +175,10 @@ def overview(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
         "bar_width": _BAR,
         "lead": _LEAD,
         "most_open": _OPEN,
+        "shares": _shares,
+        "offences": _offences,
     }
-    return render("check", _title(counts, len(checked)), rules.path, content, {"shares": _shares, "offences": _offences})
+    return render("check", _title(counts, len(checked)), rules.path, content)
 
 
 def _title(counts: Counter[Status], total: int) -> str:
@@ -209,7 +211,7 @@ def _offences(checked: CheckedRecording) -> list[tuple[Verdict, str]]:
     return [(verdict, verdict.rule) for verdict in broken]
 
 
-def render(name: str, title: str, origin: str, content: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]]) -> str:
+def render(name: str, title: str, origin: str, content: Mapping[str, Any]) -> str:
     """Return the page of a template, and of a style sheet of the same name, if there is one, with what it is made of.
 
     It loads nothing and runs nothing; what it shows is escaped, and cannot control a terminal.
@@ -225,7 +227,7 @@ def render(name: str, title: str, origin: str, content: Mapping[str, Any], filte
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters |= {"number": number, **filters}
+    environment.filters["number"] = number
     return environment.get_template(f"{name}.html").render(
         content,
         title=title,

@@ -91,20 +91,16 @@ class ScoreLimits:
         score = outcome.value
         if score is None:
             return unread(outcome, (*least, *most))
-        verdicts = [_at_least(name, getattr(score, name), limit, score) for name, limit in least.items()]
+        verdicts = []
+        for name, limit in least.items():
+            value = getattr(score, name)
+            message = f"{name} {value:.2f}, at least {limit:g} was expected; {score.status}"
+            verdicts.append(_verdict(name, value >= limit, message, score.infractions))
         for name, limit in most.items():
             found = [each for each in score.infractions if name in ("infractions", each.kind)]
-            verdicts.append(_at_most(name, limit, found))
+            message = f"{len(found)} {name}, at most {limit} were expected"
+            verdicts.append(_verdict(name, len(found) <= limit, message, found))
         return CheckedRecording(outcome.source.location, tuple(verdicts), visible(score.town), warnings=outcome.warnings)
-
-
-def _at_least(name: str, value: float, least: float, score: Score) -> Verdict:
-    message = f"{name} {value:.2f}, at least {least:g} was expected; {score.status}"
-    return _verdict(name, value >= least, message, score.infractions)
-
-
-def _at_most(name: str, most: int, found: Sequence[Infraction]) -> Verdict:
-    return _verdict(name, len(found) <= most, f"{len(found)} {name}, at most {most} were expected", found)
 
 
 def _verdict(name: str, passes: bool, message: str, infractions: Sequence[Infraction]) -> Verdict:

@@ -21,6 +21,8 @@ from carla_recap.util.log import log_info
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    Sources = str | Path | Iterable[str | Path]
+
 _LONGEST_LINE: Final = 1 << 16  # bytes of a source in a list
 _MAGIC: Final = re.compile(r"[*?\[]")
 
@@ -58,7 +60,7 @@ class SourceFile:
         return message if self.absolute is None else message.replace(self.absolute, self.location)
 
 
-def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yield"] = "raise") -> Iterator[SourceFile]:
+def find_sources(sources: Sources, *, errors: Literal["raise", "yield"] = "raise") -> Iterator[SourceFile]:
     """Yield the recordings that some sources mean, in the order of these; each of them once.
 
     A folder means all .log and .mcap files in it and below, except hidden ones, those of linked folders too, each folder
@@ -67,7 +69,7 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
     A file that is named is yielded even if it does not exist: to open it says why.
 
     Args:
-        sources: Paths, URLs, or `-` for a list of them on stdin, one in a line.
+        sources: Paths, URLs, or `-` for a list of them on stdin, one in a line; or one of these.
         errors: "raise"; or "yield": a source that means none is yielded with its error.
 
     Raises:
@@ -107,9 +109,9 @@ def means_one(source: str | Path) -> bool:
     return not path.is_dir() and (not has_magic(os.fspath(path)) or path.exists())
 
 
-def _named(sources: Iterable[str | Path]) -> Iterator[str]:
+def _named(sources: Sources) -> Iterator[str]:
     """Yield sources; instead of `-`, the lines of stdin."""
-    for source in sources:
+    for source in [sources] if isinstance(sources, (str, os.PathLike)) else sources:
         if source != "-":
             yield os.fspath(source)
         else:

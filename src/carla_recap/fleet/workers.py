@@ -51,14 +51,6 @@ class _Task:
     ends: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Raised:
-    """An error of a function that is no outcome, with its traceback as text."""
-
-    error: Exception
-    trace: str
-
-
 class _Worker(Generic[T]):
     """A worker process; without a limit, no function ends or blocks it."""
 
@@ -88,13 +80,12 @@ class _Worker(Generic[T]):
         has_ended = not self.process.is_alive()  # which the connection does not say while another process holds it
         try:
             has_answered = self.connection.poll()
-            message: Outcome[T] | _Raised | None = self.connection.recv() if has_answered else None
+            message: Outcome[T] | Exception | None = self.connection.recv() if has_answered else None
         except OSError:
             raise EOFError from None
         if has_answered:
-            if isinstance(message, _Raised):
-                message.error.add_note(message.trace)
-                raise message.error
+            if isinstance(message, Exception):
+                raise message
             if message is None:
                 self.has_begun = True
                 self._given = monotonic()
@@ -240,7 +231,7 @@ def _serve(connection: Connection, function: Callable[[SourceFile], T], is_limit
         while True:
             source = connection.recv()
             try:
-                message: Outcome[T] | _Raised = outcome_of(function, source)
+                message: Outcome[T] | Exception = outcome_of(function, source)
             except Exception as error:
                 message = _raised(error)
             connection.send_bytes(_pickled(message))
@@ -265,10 +256,12 @@ def _pickled(message: object) -> bytes:
         return pickle.dumps(_raised(error))
 
 
-def _raised(error: Exception) -> _Raised:
+def _raised(error: Exception) -> Exception:
+    """Return an error that can be sent, with its traceback as a note."""
     trace = "In a worker process:\n" + traceback.format_exc()
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:
         error = RuntimeError(f"{type(error).__name__}: {error}")
-    return _Raised(error, trace)
+    error.add_note(trace)
+    return error

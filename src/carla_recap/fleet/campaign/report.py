@@ -169,13 +169,11 @@ def write_campaign_index(
     return None
 
 
-def address_from(folder: Path, row: FinishedRun) -> str:
+def _address(folder: Path, row: FinishedRun) -> str:
     """Return the address of a run's page, or else of its recording, relative to the folder of the campaign's page."""
-    if row.page is not None:
-        return row.page
-    if is_remote(row.run.location):
+    if row.page is None and is_remote(row.run.location):
         return row.run.location
-    return Path(os.path.relpath(row.run.location, folder)).as_posix()
+    return quote(row.page or Path(os.path.relpath(row.run.location, folder)).as_posix())
 
 
 # --- the page ------------------------------------------------------------------------------------------------------------
@@ -229,7 +227,7 @@ def campaign_page(rows: Sequence[FinishedRun], folder: Path, measure: Measure, t
     content = {
         "maps": [] if axes is None else [_heat_map(rows, folder, each, *axes) for each in shown],
         "titles": ["seed", *names, *(each.title for each in columns)],
-        "runs": [(row, _cells(row, names, columns), address_from(folder, row)) for row in ordered[:_MOST_ROWS]],
+        "runs": [(row, _cells(row, names, columns), _address(folder, row)) for row in ordered[:_MOST_ROWS]],
         "total": len(ordered),
         "has_rules": has_rules,
         "failed": [(_run_text(row), row) for row in failed[:_MOST_FAILED]],
@@ -237,8 +235,9 @@ def campaign_page(rows: Sequence[FinishedRun], folder: Path, measure: Measure, t
         "runs_file": RUNS,
         "size": (_CELL, _HIGH, _LEFT, _TOP),
         "few": _FEW,
+        "longest": _LONGEST,
     }
-    return render("campaign", ", ".join(said), title, content, {"short": _short, "address": _address})
+    return render("campaign", ", ".join(said), title, content)
 
 
 # --- heat maps -----------------------------------------------------------------------------------------------------------
@@ -304,11 +303,7 @@ def _worst(
         share = 1.0 - share if measure.extreme == "least" else share
         unit, tone, said = measure.unit, f"tone-{min(int(share * _TONES), _TONES - 1) if high > low else 0}", f"{value:.3g}"
     others = f", the worst of {len(rows)} runs" if len(rows) > 1 else ""
-    return said, tone, f"{_run_text(worst)}: {said} {unit}".rstrip() + others, address_from(folder, worst)
-
-
-def _short(label: str) -> str:
-    return label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
+    return said, tone, f"{_run_text(worst)}: {said} {unit}".rstrip() + others, _address(folder, worst)
 
 
 # --- tables --------------------------------------------------------------------------------------------------------------
@@ -325,7 +320,3 @@ def _cells(row: FinishedRun, names: Iterable[str], columns: Iterable[Measure]) -
 
 def _run_text(row: FinishedRun) -> str:
     return ", ".join(f"{name}={_label(value)[:60]}" for name, value in row.run.values.items())[:300]
-
-
-def _address(address: str) -> str:
-    return address if "://" in address else quote(address)

@@ -46,14 +46,6 @@ _SEEDS: Final = 1 << 32  # of numpy's global generator
 _TERMINATED: Final = 128 + signal.SIGTERM
 _PREFIX: Final = "campaign."  # of names of what a recording was made with, which no parameter has
 _DIGITS: Final = 16  # of hashes
-_LABELS: Final = {
-    "function": "function",
-    "code": "code",
-    "town": "town",
-    "map": "map file",
-    "duration": "duration",
-    "additional_data": "additional data",
-}
 _LONGEST_VALUE: Final = 60  # characters of a value in an error
 
 
@@ -65,7 +57,6 @@ class RunReport:
         error: Why there is no recording of all of it, in one line; None if there is one.
         details: The traceback, and the end of what it printed.
         was_there: Whether the recording was there already.
-        preparing: The time until its first tick could begin, in s.
         seconds: The time that it took, in s.
         frames: The number of frames of the recording.
         duration: Its duration, in s.
@@ -76,7 +67,6 @@ class RunReport:
     error: str | None = None
     details: str = ""
     was_there: bool = False
-    preparing: float = 0.0
     seconds: float = 0.0
     frames: int = 0
     duration: float = 0.0
@@ -122,7 +112,11 @@ class Simulation:
         """Load what all runs in this process need; what fails here fails in each run, with its reason."""
         from carla_recap.sim import World
 
-        with suppress(Exception), TemporaryDirectory() as folder, World(_town(self.campaign)) as world:
+        with (
+            suppress(Exception),
+            TemporaryDirectory() as folder,
+            World(_town(self.campaign.town, self.campaign.maps)) as world,
+        ):
             world.recorder.start(Path(folder, "recording.mcap"), in_process=True)
             world.tick()
 
@@ -143,7 +137,12 @@ class Simulation:
             report = self._simulated(run, path)
             if report.error is not None:
                 return replace(report, seconds=perf_counter() - began)
-            _put(path, address)
+            if is_remote(address):
+                from carla_recap.formats.remote import upload
+
+                upload(path, address)
+            else:
+                path.replace(address)
         with open_recording(address) as recording:
             return self._measured(recording, run, report, began)
 
@@ -171,11 +170,10 @@ class Simulation:
 
     def _simulated(self, run: CampaignRun, path: Path) -> RunReport:
         """Simulate a run, and record it to a path; return its error, if there is one."""
-        began = perf_counter()
         output = path.with_name("output.txt")
         try:
             with _captured(output):
-                preparing = self._record(run, path, began)
+                self._record(run, path)
         except BaseException as error:
             if isinstance(error, SystemExit) and error.code == _TERMINATED:
                 raise
@@ -183,20 +181,19 @@ class Simulation:
             if not callable(self.campaign.function) and isinstance(error, RecapError) and details:
                 line = f"{line}: {single_line(details.splitlines()[-1])}"
             return RunReport(line.replace(str(path), run.location), details)
-        return RunReport(preparing=preparing)
+        return RunReport()
 
-    def _record(self, run: CampaignRun, path: Path, began: float) -> float:
-        """Record a run; return how many seconds it took to begin."""
+    def _record(self, run: CampaignRun, path: Path) -> None:
+        """Record a run."""
         from carla_recap.sim import World
 
         warnings.filterwarnings("ignore", "the recording has ended", RecapWarning)  # which is the error of the run
         random.seed(run.seed)
         np.random.seed(run.seed % _SEEDS)
         campaign, process = self.campaign, os.getpid()
-        town, parameters = _town(campaign), {**run.texts, **self.made_with}
+        town, parameters = _town(campaign.town, campaign.maps), {**run.texts, **self.made_with}
         with World(town, seed=run.seed, date=campaign.date, maps=campaign.maps, parameters=parameters) as world:
             world.recorder.start(path, campaign.additional_data, in_process=True)
-            preparing = perf_counter() - began
             try:
                 if callable(campaign.function):
                     campaign.function(world, **run.parameters)
@@ -215,28 +212,13 @@ class Simulation:
         with open_recording(path) as recording:
             if not recording.reader.extent().frames:
                 raise RecapError("no tick was recorded; a function that ticks its world was expected, or a duration")
-        return preparing
-
-
-def _town(campaign: Campaign) -> Town:
-    return _load_town(campaign.town or "", None if campaign.maps is None else Path(campaign.maps))
 
 
 @lru_cache(maxsize=1)
-def _load_town(name: str, maps: Path | None) -> Town:
+def _town(name: str | None, maps: str | Path | None) -> Town:
     from carla_recap.sim import load_town
 
-    return load_town(name, maps)
-
-
-def _put(path: Path, address: str) -> None:
-    """Move a complete recording to its path or URL."""
-    if is_remote(address):
-        from carla_recap.formats.remote import upload
-
-        upload(path, address)
-    else:
-        path.replace(address)
+    return load_town(name or "", None if maps is None else Path(maps))
 
 
 @contextmanager
@@ -311,7 +293,8 @@ def difference(parameters: Mapping[str, str], expected: Mapping[str, str]) -> st
     for name in changed:
         key = name.removeprefix(_PREFIX)
         before, now = (visible(each.get(name, ""))[:_LONGEST_VALUE] or "none" for each in (parameters, expected))
-        said.append(f"other {_LABELS[key]}" if key in ("code", "map") else f"{_LABELS[key]} {before} instead of {now}")
+        label = "map file" if key == "map" else key.replace("_", " ")
+        said.append(f"other {label}" if key in ("code", "map") else f"{label} {before} instead of {now}")
     return f"is there already, and was made with {', '.join(said)}; {advice}"
 
 

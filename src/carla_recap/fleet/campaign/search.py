@@ -92,10 +92,7 @@ class _Proposals:
     def _tell(self, trial: Trial, value: float | None) -> None:
         from optuna.trial import TrialState
 
-        if value is None:
-            self._study.tell(trial, state=TrialState.FAIL)
-        else:
-            self._study.tell(trial, value)
+        self._study.tell(trial, value, state=TrialState.FAIL if value is None else None)
 
 
 def _rounded(value: Any, within: Any) -> Any:

@@ -64,7 +64,9 @@ async def _session(host: Host, command: list[str], run: CampaignRun) -> int:
     if server.done():
         server.result()
         raise RecapError("the server has ended")
-    process = subprocess.Popen([*command, *_arguments(run, port.result())], env=_environment(run, port.result()))
+    given = {"host": _ADDRESS, "port": str(port.result()), **run.texts}
+    options = [f"--{name}={value}" for name, value in given.items()]
+    process = subprocess.Popen([*command, *options], env=_environment(run, port.result()))
     waiting = asyncio.create_task(asyncio.to_thread(process.wait))
     try:
         await asyncio.wait((server, waiting), return_when=asyncio.FIRST_COMPLETED)
@@ -76,14 +78,8 @@ async def _session(host: Host, command: list[str], run: CampaignRun) -> int:
     return waiting.result()
 
 
-def _arguments(run: CampaignRun, port: int) -> list[str]:
-    """Return the server, the seed and the parameters as options of a script."""
-    given = {"host": _ADDRESS, "port": str(port), **run.texts}
-    return [f"--{name}={value}" for name, value in given.items()]
-
-
 def _environment(run: CampaignRun, port: int) -> dict[str, str]:
-    """Return the environment of a script, which has the same, and a free port for a traffic manager."""
+    """Return the environment of a script: the server, a free port for a traffic manager, the seed and the parameters."""
     with socket.socket() as free:
         free.bind((_ADDRESS, 0))
         manager = free.getsockname()[1]

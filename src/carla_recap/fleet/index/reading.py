@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
@@ -19,7 +20,7 @@ from carla_recap.model.lives import HERO, ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE
-from carla_recap.queries.blocked import blocked, listed_intervals
+from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
@@ -31,17 +32,16 @@ from carla_recap.roads import find_road_network, load_road_network
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import PartName, Reader
-    from carla_recap.model.lives import ActorLife
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.score import Route
     from carla_recap.roads.network import RoadNetwork
 
-Columns = list[list[Any]]
-"""The values of a table's columns, in their order."""
+Tables = dict[str, list[tuple[Any, ...]]]
+"""The rows of `CHILDREN`, by the name of the table."""
 
 SHORTEST_STOP: Final = 10.0
 """The least duration of a stationary interval in an index, in s."""
@@ -53,18 +53,7 @@ _KEPT: Final = 256 << 20  # bytes of events, and of motion, that are kept in mem
 _FRAME: Final = 1000  # bytes that a frame takes, beside those of its packets, about
 _WHOLE: Final = {"sparse": False, "start": -math.inf, "stop": math.inf}  # the options of a read of all frames
 
-_actor = attrgetter(
-    "id",
-    "type_id",
-    "kind",
-    "role_name",
-    "is_hero",
-    "spawned_at",
-    "destroyed_at",
-    "parent",
-)
 _interval = attrgetter("id", "type_id", "start", "duration", "x", "y", "z")
-_box = attrgetter("x", "y", "z", "extent_x", "extent_y", "extent_z")
 
 
 def read_recording(
@@ -73,8 +62,8 @@ def read_recording(
     measured: bool = False,
     road_map: str | None = None,
     routes: Sequence[Route] | None = None,
-) -> tuple[dict[str, Any], list[Columns]]:
-    """Return the fields of a recording's row that its content determines, and the columns of each of `CHILDREN`.
+) -> tuple[dict[str, Any], Tables]:
+    """Return the fields of a recording's row that its content determines, and the rows of `CHILDREN`.
 
     If it is `measured`, every frame is read, for measures and incidents of the road; else its events alone. The map may be a
     folder to look in, None: the usual ones. It is scored by the routes, if any. A `RecapError` says that it cannot be read.
@@ -90,22 +79,20 @@ def read_recording(
 
 def _content(
     recording: Recording, measured: bool, road_map: str | None, routes: Sequence[Route] | None
-) -> tuple[dict[str, Any], list[Columns]]:
+) -> tuple[dict[str, Any], Tables]:
     info, reader = recording.info, cast("Reader", _ReadOnce(recording.reader))
     found = actors(reader)
     roads = _roads(info.map_name, road_map) if measured else None
     kinds = None if not measured else "all" if roads is not None else kinds_without_roads()
     has_hero = any(actor.is_hero and actor.kind in ROAD_USERS for actor in found)
-    stops = listed_intervals(reader, SHORTEST_STOP, MIN_DISTANCE) or []
-    rows: dict[str, Iterable[tuple[Any, ...]]] = {
-        "actors": map(_actor_row, found),
-        "stationary": map(_stop, stops),
-        "collisions": map(_fields("collisions"), collisions(reader)),
-        "incidents": map(_fields("incidents"), incidents(reader, IncidentOptions(kinds=kinds, roads=roads))),
-        "measures": map(_fields("measures"), measures(reader, HERO, roads=roads) if measured and has_hero else ()),
-        "sensors": map(_fields("sensors"), recording.sensors),
+    rows: dict[str, Iterable[Any]] = {
+        "actors": found,
+        "stationary": map(_in_metres, blocked(reader, SHORTEST_STOP)),
+        "collisions": collisions(reader),
+        "incidents": incidents(reader, IncidentOptions(kinds=kinds, roads=roads)),
+        "measures": measures(reader, HERO, roads=roads) if measured and has_hero else (),
+        "sensors": recording.sensors,
     }
-    children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]
     fields = {
         "map": readable(info.map_name),
         "date": info.date and info.date.replace(tzinfo=None),
@@ -117,11 +104,11 @@ def _content(
         "roads_known": roads is not None,
         "actors": len(found),
         "heroes": sum(actor.is_hero for actor in found),
-        "parameters": list(recording.header.parameters.items()),
+        "parameters": recording.header.parameters,
         "route_file": routes[0].path if routes else None,
         **(_scores(recording, routes, road_map) if routes else {}),
     }
-    return fields, children
+    return fields, {table.name: list(map(table.cells_of, rows[table.name])) for table in CHILDREN}
 
 
 def _scores(recording: Recording, routes: Sequence[Route], road_map: str | None) -> dict[str, Any]:
@@ -146,20 +133,9 @@ def _roads(map_name: str, road_map: str | None) -> RoadNetwork | None:
     return find_road_network(map_name, road_map)
 
 
-def _fields(table: str) -> Callable[[Any], tuple[Any, ...]]:
-    return attrgetter(*next(each.hints for each in CHILDREN if each.name == table))
-
-
-def _actor_row(actor: ActorLife) -> tuple[Any, ...]:
-    return *_actor(actor), list(actor.attributes.items()), actor.bounding_box and _box(actor.bounding_box)
-
-
-def _stop(row: BlockedRow) -> tuple[Any, ...]:
-    return row.start, row.duration, row.id, row.type_id, *place_in_metres(row.x, row.y, row.z)
-
-
-def _columns(rows: Iterable[tuple[Any, ...]], count: int) -> Columns:
-    return [list(values) for values in zip(*rows, strict=True)] or [[] for _ in range(count)]
+def _in_metres(row: BlockedRow) -> BlockedRow:
+    x, y, z = place_in_metres(row.x, row.y, row.z)
+    return replace(row, x=x, y=y, z=z)
 
 
 class _ReadOnce:
@@ -181,10 +157,8 @@ class _ReadOnce:
 
     @cached_property
     def _stretches(self) -> DigestPart:
-        limits = SHORTEST_STOP, MIN_DISTANCE
-        listed = listed_intervals(self._reader, *limits)
-        rows = [_interval(row) for row in (blocked(self._reader, *limits) if listed is None else listed)]
-        return DigestPart(limits, lambda: rows)
+        rows = [_interval(row) for row in blocked(self._reader, SHORTEST_STOP)]
+        return DigestPart((SHORTEST_STOP, MIN_DISTANCE), lambda: rows)
 
     def frames(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Frame]:
         """See `Reader.frames`."""

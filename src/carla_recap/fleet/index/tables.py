@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.lives import BoundingBox  # noqa: TC001 - the columns are made of the type hints
+from carla_recap.model.stationary import BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident, Incidents
 from carla_recap.queries.measures import MeasureRow
@@ -15,7 +17,7 @@ from carla_recap.queries.sensors import RecordedSensor, RecordedSensors
 from carla_recap.tables import column_types
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     import pyarrow as pa
 
@@ -72,19 +74,6 @@ class ActorRow:
     bounding_box: BoundingBox | None
 
 
-@dataclass(frozen=True, slots=True)
-class StationaryRow:
-    """An interval in which an actor does not move; the position is in m, right-handed."""
-
-    start: float
-    duration: float
-    id: int
-    type_id: str
-    x: float
-    y: float
-    z: float
-
-
 @dataclass(frozen=True)
 class IndexTable:
     """A table of an index."""
@@ -97,6 +86,12 @@ class IndexTable:
     def hints(self) -> dict[str, Any]:
         """The types of the columns that are fields of its rows, as type hints."""
         return column_types(self.row_type)
+
+    @cached_property
+    def cells_of(self) -> Callable[[Any], tuple[Any, ...]]:
+        """A function that returns the values of one of its rows, or of an `ActorLife`."""
+        renamed = {"hero": "is_hero"} if self.row_type is ActorRow else {}
+        return attrgetter(*(renamed.get(name, name) for name in self.hints))
 
     @cached_property
     def schema(self) -> pa.Schema:
@@ -121,7 +116,7 @@ RECORDINGS: Final = IndexTable(
 CHILDREN: Final = (
     IndexTable("actors", ActorRow, {"spawned_at": "s", "destroyed_at": "s", "bounding_box": "m"}),
     IndexTable("collisions", CollisionRow, Collisions.row_units),
-    IndexTable("stationary", StationaryRow, {"start": "s", "duration": "s", "x": "m", "y": "m", "z": "m"}),
+    IndexTable("stationary", BlockedRow, {"start": "s", "duration": "s", "x": "m", "y": "m", "z": "m"}),
     IndexTable("incidents", Incident, Incidents.row_units),
     IndexTable("measures", MeasureRow, {"time": "s"}),
     IndexTable("sensors", RecordedSensor, RecordedSensors.row_units),

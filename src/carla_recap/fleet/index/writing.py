@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Generator
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import datetime, timedelta
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,24 +17,24 @@ import numpy as np
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.index.database import create_index
 from carla_recap.fleet.index.reading import read_recording
-from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
+from carla_recap.fleet.index.tables import RECORDING, RECORDINGS, TABLES, RecordingRow
 from carla_recap.fleet.sources import find_sources
 from carla_recap.queries.score import read_routes
 from carla_recap.roads import find_map
 from carla_recap.util.files import check_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
 
     import pyarrow as pa
     from distributed import Client
 
     from carla_recap.fleet.index.database import RecordingIndex
-    from carla_recap.fleet.index.reading import Columns
+    from carla_recap.fleet.index.reading import Tables
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
 
-    Reading = tuple[dict[str, Any], list[Columns]]
+    Reading = tuple[dict[str, Any], Tables]
     Progress = Callable[[Iterable[Outcome[Reading]], int], Iterable[Outcome[Reading]]]
 
 _ROWS: Final = 20_000  # of all tables, that wait to be written, at most
@@ -122,8 +123,7 @@ def write_index(
         for key, source in meant.items()
         if again
         or key not in known
-        or (route_file is not None and known[key].error is None and known[key].route_file != route_file)
-        or not _suffices(known[key], source, finds, retry=retry, measured=measures)
+        or not _suffices(known[key], source, finds, retry=retry, measured=measures, route_file=route_file)
     }
     if route_file is not None:  # what is read again for its score alone keeps its measures
         measures |= any(known[key].measured for key in changed if key in known)
@@ -162,23 +162,26 @@ def write_index(
     )
 
 
-def _suffices(row: RecordingRow, source: SourceFile, finds: Callable[[str], bool], *, retry: bool, measured: bool) -> bool:
-    """Return whether a recording need not be read again: it is as its row says, and was read as is wanted.
-
-    `finds` returns whether a map is known now. With `retry`, it is read again if it could not be read.
-    """
+def _suffices(
+    row: RecordingRow,
+    source: SourceFile,
+    finds: Callable[[str], bool],
+    *,
+    retry: bool,
+    measured: bool,
+    route_file: str | None,
+) -> bool:
+    """Return whether a recording need not be read again: it is as its row says, and was read as is wanted."""
+    size, modified, etag = _state(source)
+    if etag is not None:
+        is_as_before = (row.size, row.etag) == (size, etag)
+    else:
+        is_as_before = size is not None and (row.size, row.modified) == (size, modified)
     if row.error is not None:
-        return not retry and _is_unchanged(row, source)
+        return is_as_before and not retry
     if measured and (not row.measured or (row.lacks_roads and finds(row.map or ""))):
         return False
-    return _is_unchanged(row, source)
-
-
-def _is_unchanged(row: RecordingRow, source: SourceFile) -> bool:
-    """Return whether a recording is as it was; not if nothing is known of it."""
-    if source.etag is not None:
-        return (row.size, row.etag) == (source.size, _bare(source.etag))
-    return source.size is not None and (row.size, row.modified) == (source.size, _time(source.modified))
+    return is_as_before and route_file in (None, row.route_file)
 
 
 def _finder(maps: str | None) -> Callable[[str], bool]:
@@ -188,9 +191,9 @@ def _finder(maps: str | None) -> Callable[[str], bool]:
     return lru_cache(None)(lambda name: find_map(name, maps) is not None)
 
 
-def _bare(etag: str | None) -> str | None:
-    """Return an ETag without its quotes."""
-    return None if etag is None else etag.replace('"', "")
+def _state(source: SourceFile) -> tuple[int | None, datetime | None, str | None]:
+    """Return the size, the time and the ETag, without its quotes, of a recording."""
+    return source.size, _time(source.modified), None if source.etag is None else source.etag.replace('"', "")
 
 
 class _Writing:
@@ -199,57 +202,49 @@ class _Writing:
     def __init__(self, index: RecordingIndex) -> None:
         self._index = index
         self._begin = self._last = monotonic()
-        self._clear()
-
-    def _clear(self) -> None:
-        self._rows = 0
-        self._columns: dict[str, list[list[Any]]] = {name: [[] for _ in table.schema] for name, table in TABLES.items()}
+        self._rows: defaultdict[str, list[tuple[Any, ...]]] = defaultdict(list)
 
     def add(self, key: str, outcome: Outcome[Reading]) -> None:
         """Add the rows of a recording."""
-        source, content = outcome.source, outcome.value
+        read, children = outcome.value or ({}, {})
         warning = "; ".join(dict.fromkeys(outcome.warnings)) or None
-        read, children = content if content is not None else ({}, [])
-        row = RecordingRow(source.size, _time(source.modified), _bare(source.etag), outcome.error, warning, **read)
-        self._add(RECORDINGS.name, key, [[getattr(row, field.name)] for field in fields(row)])
-        for table, columns in zip(CHILDREN, children, strict=False):
-            self._add(table.name, key, columns)
+        row = RecordingRow(*_state(outcome.source), outcome.error, warning, **read)
+        for name, rows in {RECORDINGS.name: [RECORDINGS.cells_of(row)], **children}.items():
+            self._rows[name] += [(key, *cells) for cells in rows]
         pause = max(_PAUSE, _SHARE * (monotonic() - self._begin))
-        if self._rows >= _ROWS or monotonic() - self._last >= pause:
+        if sum(map(len, self._rows.values())) >= _ROWS or monotonic() - self._last >= pause:
             self.flush()
 
     def flush(self) -> None:
         """Write the rows that wait, if there are any."""
         if self._rows:
-            self._index.replace({name: _table(name, columns) for name, columns in self._columns.items()})
-            self._clear()
+            self._index.replace({name: _table(name, rows) for name, rows in self._rows.items() if rows})
+            self._rows.clear()
             self._last = monotonic()
 
-    def _add(self, table: str, key: str, columns: Columns) -> None:
-        count = len(columns[0])
-        for values, new in zip(self._columns[table], ([key] * count, *columns), strict=True):
-            values.extend(new)
-        self._rows += count
 
-
-def _table(name: str, columns: Sequence[list[Any]]) -> pa.Table:
+def _table(name: str, rows: list[tuple[Any, ...]]) -> pa.Table:
     import pyarrow as pa
 
-    schema = TABLES[name].schema
+    schema, columns = TABLES[name].schema, zip(*rows, strict=True)
     return pa.table([_array(values, field.type) for values, field in zip(columns, schema, strict=True)], schema=schema)
 
 
-def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
+def _array(values: Iterable[Any], kind: pa.DataType) -> pa.Array:
     """Return values as an Arrow array; numbers that are not finite or too large, which SQL can hardly use, become null."""
     import pyarrow as pa
 
     if pa.types.is_floating(kind):
-        numbers = np.array(values, np.float64)
+        numbers = np.array([*values], np.float64)
         return pa.array(numbers, kind, mask=~np.isfinite(numbers))
     if pa.types.is_string(kind):
         values = [value if value is None or value.isascii() else _unicode(value) for value in values]
     if pa.types.is_integer(kind):
         values = [value if value is None or abs(value) < 1 << 63 else None for value in values]
+    if pa.types.is_map(kind):
+        values = [None if value is None else list(value.items()) for value in values]
+    if pa.types.is_struct(kind):
+        values = [value and astuple(value) for value in values]
     return pa.array(values, kind)
 
 
