@@ -55,23 +55,14 @@ _EXTRAS: Final = {
 class _Commands(click.Group):
     """The commands; if an extra is missing, the error names the command and the extra that brings all that it needs."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted(_MODULES)
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _MODULES:
-            return super().get_command(ctx, cmd_name)
+            return None
         function = f"{cmd_name}_" if iskeyword(cmd_name) else cmd_name
         command: click.Command = getattr(import_module(f"carla_recap.cli.{_MODULES[cmd_name]}"), function)
         if not any(each.name == "quiet" for each in command.params):
             command.params += _of_all()
         return command
-
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
-        try:
-            return super().resolve_command(ctx, args)
-        except click.NoSuchCommand as error:
-            raise click.NoSuchCommand(error.command_name, possibilities=list(_MODULES), ctx=ctx) from None
 
     def invoke(self, ctx: click.Context) -> object:
         succeeds = False
@@ -101,7 +92,7 @@ def _of_all() -> list[click.Parameter]:
     ]
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=_Commands, commands=dict.fromkeys(_MODULES), context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="carla-recap", prog_name="carla-recap")
 def cli() -> None:
     """Recordings of the driving simulator CARLA, without the simulator.
