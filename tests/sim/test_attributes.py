@@ -24,6 +24,8 @@ def test_defaults_and_choices_are_of_their_type() -> None:
                 READERS[attribute_type(key)](text)
                 assert ATTRIBUTE_TYPES[attribute_type(key)].accepts(text), (blueprint.id, key)
         assert blueprint.choices.keys() <= blueprint.attributes.keys()
+    limits = "-2147483648", "-2147483649", "2147483647", "2147483648"
+    assert list(map(ATTRIBUTE_TYPES[KINDS.index("int")].accepts, limits)) == [True, False, True, False]
 
 
 def having(fact: dict[str, str]) -> list[Blueprint]:

@@ -418,6 +418,7 @@ def test_towns_are_found_by_name_or_file(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_town_may_lack_all_but_a_lane(tmp_path: Path) -> None:
     bare = made_of(tmp_path, road(length=30, sections=section(0, right=lane(-1))))
     assert len(bare.lanes) == 1
+    assert bare.on_road([15.0] * 3, [3.4, 3.6, 3.9], [0.0] * 3, 0.3).tolist() == [True, True, False]
     assert len(bare.spawn_points) == 2
     assert (bare.signals, bare.junctions, bare.sidewalks, bare.crossings) == ([], [], [], [])
     assert len(bare.walks.nodes) == len(bare.walks.edges) == 0

@@ -57,13 +57,15 @@ def test_a_walker_waits_until_cars_have_red() -> None:
     assert person.transform.location.y == pytest.approx(-5, abs=0.3)
 
 
-def test_a_walker_lets_a_car_pass() -> None:
+@pytest.mark.parametrize("yaw", [0.0, 60.0])
+def test_a_walker_lets_a_car_pass(yaw: float) -> None:
     world = flat_world(walks=graph())
     person = walker(world, 99.0, 5.0)
     person.destination = Location(80.0, -5.0)
-    car = spawn_car(world, at(60.0), "vehicle.audi.tt", role_name="hero")
-    for _ in range(400):
-        car.set_target_velocity(Vector(12.0))
+    ahead = at(0.0, yaw=yaw).forward()
+    car = spawn_car(world, at(100.0 - 54 * ahead.x, -54 * ahead.y, yaw), "vehicle.audi.tt", role_name="hero")
+    for _ in range(400):  # its front is there in less than 4 s when the walker comes, its rear is not
+        car.set_target_velocity(ahead * 12.0)
         world.tick()
         assert not world.events.collisions
         if person.transform.location.y < -4.5:
