@@ -184,13 +184,14 @@ def test_a_radar_measures_distance_and_speed() -> None:
     radar = sensor(host, "other.radar", car, at(2.5, z=0.8), points_per_second="20000")
     short = sensor(host, "other.radar", car, at(2.5, z=0.8), range="20")
     ahead.set_target_velocity(Vector(4.0))
+    car.set_target_velocity(Vector(1.0))
     host.tick()
     found = radar_rows(radar)
     assert 10 < len(found) < 500
     assert len(radar_rows(short)) == 0
-    back = ahead.transform.location.x - 4.79 / 2 - 2.5
+    back = ahead.transform.location.x - car.transform.location.x - 4.79 / 2 - 2.5
     assert found[:, 3] * np.cos(found[:, 1]) * np.cos(found[:, 2]) == pytest.approx(np.full(len(found), back), abs=0.01)
-    assert found[:, 0] == pytest.approx(np.full(len(found), ahead.velocity.x), rel=0.01)
+    assert found[:, 0] == pytest.approx(np.full(len(found), ahead.velocity.x - car.velocity.x), rel=0.01)
     assert np.abs(np.tan(found[:, 1]) * back).max() <= 2.16 / 2 + 0.01
 
 

@@ -11,12 +11,12 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.scene.materials import Tag
-from carla_recap.server.snapshots import NO_LIGHT, LightsAhead
+from carla_recap.server.snapshots import NO_LIGHT, LaneTracker, LightsAhead
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.server.client import FAR, place, spawn, ticks
 from tests.server.inside import Inside
-from tests.sim.flat import LENGTH, at, flat_town, lane
+from tests.sim.flat import LENGTH, at, flat_town, flat_world, lane, spawn_car
 from tests.sim.flat import light as signal
 from tests.sim.two_levels import BRIDGE, two_levels
 
@@ -220,3 +220,13 @@ def test_that_holds_on_the_lane_before() -> None:
         ahead = LightsAhead(flat_town(lanes=lanes, signals=signals))
         found = ahead.at(np.array([0, 0, 0, 1, 1]), np.array([LENGTH - 10, LENGTH - 8, LENGTH - 4, 1, 5]))
         assert found.tolist() == [NO_LIGHT, rows[0], rows[0], rows[0], rows[1]]
+
+
+def test_between_look_ups_a_place_on_a_lane_goes_on_with_its_vehicle() -> None:
+    world = flat_world()
+    car = spawn_car(world, at(20.0))
+    tracker = LaneTracker(world.town, world.vehicles)
+    for x in (20.0, 22.0, 30.0):
+        car.transform = at(x)
+        lanes, s = tracker.positions()
+        assert (lanes.tolist(), s.tolist()) == ([0], [pytest.approx(x)])

@@ -109,10 +109,15 @@ def test_collisions_have_the_ids_of_the_world(crash: tuple[Path, dict[int, list[
     assert ids[HERO] != HERO
 
 
-def test_collisions_of_an_actor_that_is_left_out_are_none(crash: tuple[Path, dict[int, list[Collision]]]) -> None:
+def test_collisions_of_an_actor_that_is_left_out_or_destroyed_are_none(
+    crash: tuple[Path, dict[int, list[Collision]]],
+) -> None:
     world = flat_world()
     world.replayer.ignore_hero = True
     world.replay_file(crash[0])
+    assert collisions(world, 98) == {}
+    world = replayed(crash[0])
+    world.actors[PARKED].destroy()
     assert collisions(world, 98) == {}
 
 

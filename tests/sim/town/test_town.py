@@ -369,6 +369,8 @@ def test_walks_are_one_graph_with_crossings(any_town: Town) -> None:
     assert walks.crossing.sum() >= 20
     assert len(any_town.crossings) >= 20
     assert len(any_town.sidewalks) >= 40
+    apart = np.linalg.norm(walks.nodes[:, None] - walks.nodes, axis=2)[np.triu_indices(len(walks.nodes), 1)]
+    assert apart.min() > 0.05  # sidewalks that meet share a node
     reached = np.zeros(len(walks.nodes), np.bool_)
     reached[0] = True
     for _ in range(len(walks.nodes)):
