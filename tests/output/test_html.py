@@ -75,6 +75,14 @@ def test_names_are_escaped_and_a_recording_without_movement_has_no_drawing(tmp_p
     assert recording._repr_html_() == escape(repr(recording))
 
 
+def test_names_in_a_drawing_are_escaped(tmp_path):
+    rows = [{"transforms": [pose(id, 100.0 * number, 500.0 * id) for id in (7, 8)]} for number in range(40)]
+    rows[0]["spawned"], rows[20]["collisions"] = [spawn(7, "vehicle.<b>\x1b"), spawn(8)], [(0, 7, 8, 0, 0)]
+    with open_recording(write(tmp_path / "hit.log", rows)) as recording:
+        (title,) = drawing(recording._repr_html_()).iter("{http://www.w3.org/2000/svg}title")
+    assert title.text == r"20.00 s: vehicle.<b>\x1b (7) collides with vehicle.audi.tt (8)"
+
+
 def test_long_paths_are_drawn_once_where_they_repeat(tmp_path):
     angles = [2 * math.pi * number / 40 for number in range(1000)]
     rows = [

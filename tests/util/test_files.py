@@ -158,6 +158,13 @@ def test_a_new_folder_removes_what_a_killed_process_has_left(tmp_path: Path) -> 
     assert not left.exists()
 
 
+def test_errors_within_a_new_folder_name_the_destination(tmp_path: Path) -> None:
+    destination = tmp_path / "new"
+    with pytest.raises(RecapError, match=r"/new: cannot be written: is a directory$"), new_folder(destination) as folder:
+        WholeFile(folder)
+    assert names_in(tmp_path) == []
+
+
 def test_a_folder_that_is_not_empty_needs_force(tmp_path: Path) -> None:
     check_folder(tmp_path / "missing", force=False)
     check_folder(tmp_path, force=False)
