@@ -8,6 +8,7 @@ blocks when it reads them.
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from json import loads
 from pathlib import Path
@@ -44,6 +45,7 @@ _NO_DATABASE: Final = "not a valid DuckDB database file"  # in an error of DuckD
 _BUSY: Final = re.compile("Could not set lock|file handle conflict|being used by another process")
 _PATIENCE: Final = 60.0  # s for which others may have the file open
 _PAUSE: Final = 0.02  # s between attempts to open it
+_INTERVAL: Final = 0.1  # s between looks at signals, which nothing else does on Windows
 _INTERRUPTED: Final = "Query interrupted"  # DuckDB's error in place of what the handler of a signal raises
 _OLD_MARKER: Final = "index.json"  # in the folders that indexes were before 0.3
 
@@ -112,12 +114,15 @@ class RecordingIndex:
             kinds = [statement.type for statement in database.extract_statements(query)]
             if kinds not in ([duckdb.StatementType.SELECT], [duckdb.StatementType.MULTI]):  # the latter is a pivot
                 raise RecapError(f"{_shown(query)}: one query was expected, which begins with {_QUERIES}")
-            try:
-                relation = database.sql(query)
-            except duckdb.Error:
-                database.execute(query)  # which raises the error with its position
-                raise
-            return relation.to_arrow_table()
+            with ThreadPoolExecutor(1) as pool:  # in this thread, DuckDB drops what the handler of a signal raises
+                answer = pool.submit(_answer, database, query)
+                try:
+                    while not wait([answer], _INTERVAL).done:
+                        pass
+                finally:
+                    while not wait([answer], _PAUSE).done:
+                        database.interrupt()
+                return answer.result()
 
     def replace(self, tables: Mapping[str, pa.Table]) -> None:
         """Replace all rows of the recordings that a table of recordings has by new ones, in one transaction."""
@@ -243,6 +248,17 @@ def _attach(database: duckdb.DuckDBPyConnection, path: Path, mode: str) -> bool:
         raise
     database.execute("use stored")
     return True
+
+
+def _answer(database: duckdb.DuckDBPyConnection, query: str) -> pa.Table:
+    import duckdb
+
+    try:
+        relation = database.sql(query)
+    except duckdb.Error:
+        database.execute(query)  # which raises the error with its position
+        raise
+    return relation.to_arrow_table()
 
 
 def _require() -> None:
