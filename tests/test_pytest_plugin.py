@@ -327,6 +327,12 @@ def test_a_wrong_option_is_an_error_of_one_line_at_the_start(tmp_path: Path, opt
     assert message.replace("FOLDER", str(tmp_path)) in line
 
 
+def test_tests_without_options_run_beside_a_file_that_is_called_like_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "carla-recordings").touch()
+    (tmp_path / "test_none.py").write_text("def test_none(): pass")
+    assert started(tmp_path).returncode == pytest.ExitCode.OK
+
+
 def test_files_of_tests_are_named_after_them() -> None:
     from carla_recap.pytest_plugin import _file_name as names
 
