@@ -136,6 +136,9 @@ def test_each_tick_has_a_sample_of_each_sensor(world: carla.World, hero: carla.V
     readings = messages(capture.path, "imu", "imu", ImuReading)
     assert np.diff(list(readings)) == pytest.approx(0.2)
     assert [reading.acceleration_z for reading in readings.values()] == pytest.approx([9.81] * len(readings), abs=0.01)
+    *_, turning = readings.values()  # to the right
+    assert turning.acceleration_y < -0.01
+    assert turning.angular_velocity_z < -0.01
     seen = poses(capture.path, "top")
     for elapsed, transform in zip(ticked, places.values(), strict=True):
         place, ahead = next(pose for time, pose in seen.items() if abs(time - elapsed) < 1e-6)
