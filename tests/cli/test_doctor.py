@@ -18,7 +18,7 @@ from carla_recap.cli.doctor import doctor as doctor_command
 from tests.cli.command import ENVIRONMENT, before_others, run
 
 BUILT_IN = "Brickfield"
-NO_CACHE = {"folder": None, "entries": 0, "bytes": 0}
+NO_CACHE = {"folder": None, "entries": 0, "bytes": 0, "error": None}
 
 
 def text(*options, **environment):
@@ -89,6 +89,15 @@ def test_maps_are_listed_with_their_files(tmp_path):
     (tmp_path / "Somewhere.xodr").write_text("<OpenDRIVE/>")
     found = doctor(CARLA_RECAP_MAPS=tmp_path)["maps"]
     assert (found["folder"], found["files"]["Somewhere"]) == (str(tmp_path), str(tmp_path / "Somewhere.xodr"))
+
+
+def test_files_in_place_of_folders_are_named(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    found = doctor(CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
+    assert found["maps"] == {"folder": str(file), "files": {}, "error": "Not a directory"}
+    assert found["cache"] == {**NO_CACHE, "folder": str(file), "error": "Not a directory"}
+    assert f"\n  none           {file}: Not a directory\n" in text(CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
 
 
 def test_a_broken_package_is_a_line(tmp_path):

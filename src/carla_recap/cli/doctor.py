@@ -67,7 +67,7 @@ def _extras() -> dict[str, dict[str, str | None]]:
     packages: defaultdict[str, dict[str, str | None]] = defaultdict(dict)
     try:
         required = requires(_PACKAGE) or []
-    except PackageNotFoundError:
+    except (PackageNotFoundError, OSError, ValueError):
         return {}
     for match in filter(None, map(_REQUIREMENT.match, required)):
         name, extra = match.groups()
@@ -79,14 +79,32 @@ def _extras() -> dict[str, dict[str, str | None]]:
 def _maps() -> dict[str, Any]:
     from carla_recap.roads.find import FOLDER, find_maps
 
-    return {"folder": os.environ.get(FOLDER) or None, "files": {name: str(path) for name, path in find_maps().items()}}
+    folder = os.environ.get(FOLDER) or None
+    error = _error_of(folder)
+    files = {} if error else {name: str(path) for name, path in find_maps().items()}
+    return {"folder": folder, "files": files, "error": error}
 
 
 def _cache() -> dict[str, Any]:
     from carla_recap.util.cache import cache_folder, cache_size
 
     folder, (entries, size) = cache_folder(), cache_size()
-    return {"folder": None if folder is None else str(folder), "entries": entries, "bytes": size}
+    name = None if folder is None else str(folder)
+    return {"folder": name, "entries": entries, "bytes": size, "error": _error_of(name)}
+
+
+def _error_of(folder: str | None) -> str | None:
+    """Return why a folder cannot be listed; None if it can be, or if it does not exist."""
+    from carla_recap.util.files import reason_of
+
+    try:
+        if folder is not None:
+            os.scandir(folder).close()
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        return reason_of(error)
+    return None
 
 
 def _version(package: str) -> str | None:
@@ -95,6 +113,8 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
+    except (OSError, ValueError) as error:  # its metadata are damaged
+        return f"unknown ({type(error).__name__})"
 
 
 def _text(found: dict[str, Any]) -> Iterator[str]:
@@ -114,9 +134,11 @@ def _text(found: dict[str, Any]) -> Iterator[str]:
         has = ", ".join(f"{name} {installed}" for name, installed in packages.items())
         extras.append((extra, f"missing: {', '.join(missing)}; {install_command(extra)}" if missing else has))
     maps = list(found["maps"]["files"].items())
-    if not found["maps"]["folder"] or len(maps) <= 1:
+    if found["maps"]["error"]:
+        maps.append(("none", f"{found['maps']['folder']}: {found['maps']['error']}"))
+    elif not found["maps"]["folder"] or len(maps) <= 1:
         maps.append(("others", f"none in {described_folder()}"))
-    size = f"{counted(cache['entries'], 'file')}, {cache['bytes'] / 1e6:.1f} MB"
+    size = cache["error"] or f"{counted(cache['entries'], 'file')}, {cache['bytes'] / 1e6:.1f} MB"
     parts = {
         "Versions": [(name, text or "not installed") for name, text in found["versions"].items()],
         "Drawing": drawn,
