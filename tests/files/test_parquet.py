@@ -9,6 +9,7 @@ import pytest
 from carla_recap import RecapError, create_recording, export_parquet, open_recording
 from carla_recap.files import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
+from carla_recap.util.files import WholeFile
 from tests.replay.scripts import pose
 from tests.samples import CROSSING, names_in
 
@@ -101,5 +102,22 @@ def test_tables_of_all_kinds_become_parquet_files(tmp_path: Path, ask: str) -> N
         read = parquet.read_table(tmp_path / "out.parquet")
         check_equal(read, answer.to_arrow())
         assert {f.name: f.metadata[b"unit"].decode() for f in read.schema if f.metadata} == answer.units()
-        with pytest.raises(RecapError, match=r"no/out\.parquet: cannot be written"):
+        (tmp_path / "no").touch()
+        with pytest.raises(RecapError, match="no: is a file; a folder was expected"):
             answer.to_parquet(tmp_path / "no" / "out.parquet")
+
+
+def test_a_parquet_file_stays_as_it_is_if_another_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(written: WholeFile, data: bytes) -> None:
+        written._put(data[:100])
+        raise RecapError("the disk is full")
+
+    file = tmp_path / "out.parquet"
+    with open_recording(CROSSING) as recording:
+        recording.actors.to_parquet(file)
+        content = file.read_bytes()
+        monkeypatch.setattr(WholeFile, "write", fail)
+        with pytest.raises(RecapError, match="the disk is full"):
+            recording.table("transforms").to_parquet(file)
+    assert file.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [file]

@@ -9,7 +9,6 @@ import sys
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from importlib.abc import MetaPathFinder
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Final, Literal, Self, Union, get_args, get_origin, get_type_hints
 
@@ -17,10 +16,11 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra
 from carla_recap.tables.variable import Lists
-from carla_recap.util.files import writing
+from carla_recap.util.files import WholeFile, writing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
     from types import TracebackType
 
     import pyarrow as pa
@@ -117,7 +117,7 @@ class ParquetFile:
     Integers, texts and times are dictionary-encoded; other real numbers are not, which would take three times as long.
     """
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
+    def __init__(self, path: Path | pa.BufferOutputStream, schema: pa.Schema) -> None:
         import pyarrow as pa
         from pyarrow import parquet
 
@@ -154,6 +154,11 @@ class ParquetFile:
 
 
 def write_parquet(path: Path | str, table: pa.Table) -> None:
-    """Write a table as a Parquet file, or raise `RecapError`."""
-    with ParquetFile(Path(path), table.schema) as file:
+    """Write a table as a Parquet file, which replaces another when it is complete, or raise `RecapError`."""
+    import pyarrow as pa
+
+    buffer = pa.BufferOutputStream()
+    with ParquetFile(buffer, table.schema) as file:
         file.write(table)
+    with WholeFile(path) as whole:
+        whole.write(buffer.getvalue().to_pybytes())
